@@ -1,0 +1,123 @@
+"""Settings from a channel impulse response to an image and its score. Every point the paper leaves open is here."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, model_validator
+
+from mvla_sim.config.base import Settings
+
+__all__ = [
+    "METHOD_NAMES",
+    "EvaluationSettings",
+    "GridSettings",
+    "ImagingSettings",
+    "MethodName",
+    "MvlaSettings",
+    "NoiseSettings",
+    "PdpSettings",
+    "PeakSettings",
+    "ViewSettings",
+]
+
+MethodName = Literal["mvla-gr", "mvla-hard", "bp"]
+METHOD_NAMES: tuple[str, ...] = ("mvla-gr", "mvla-hard", "bp")
+
+
+class GridSettings(Settings):
+    """The voxel grid: centre, size and spacing. A vertical size of 0 is one layer at the centre's height."""
+
+    center_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    size_m: tuple[PositiveFloat, PositiveFloat, NonNegativeFloat] = (10.0, 10.0, 0.0)
+    spacing_m: PositiveFloat = 0.05
+
+    @model_validator(mode="after")
+    def _check(self) -> GridSettings:
+        for axis, size in zip("xyz", self.size_m, strict=True):
+            if 0 < size < self.spacing_m:
+                raise ValueError(f"size_m along {axis} = {size:g} is below spacing_m = {self.spacing_m:g}")
+        return self
+
+
+class PdpSettings(Settings):
+    """From paths to a band-limited power delay profile (``eq:PDP``)."""
+
+    window: Literal["hann", "hamming", "blackman", "rectangular"] = "hann"
+    oversampling: Annotated[int, Field(ge=1, le=64, description="samples per 1/B of delay")] = 4
+    gate_m: tuple[NonNegativeFloat, PositiveFloat] | None = Field(
+        None, description="one-way range interval kept; by default the ranges at which the grid is seen"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> PdpSettings:
+        if self.gate_m is not None and self.gate_m[0] >= self.gate_m[1]:
+            raise ValueError(f"gate_m = {list(self.gate_m)} must be [near, far] with near below far")
+        return self
+
+
+class NoiseSettings(Settings):
+    """Noise at a given SNR; the realisation depends on the seed and a view's place in the file alone."""
+
+    snr_db: Annotated[float, Field(ge=-100, le=200)] | None = Field(20.0, description="'none': no noise")
+    kind: Literal["gaussian", "exponential", "complex"] = Field(
+        "gaussian",
+        description="gaussian: white, zero mean, added to the PDP; exponential: noise power added to the PDP; "
+        "complex: circular white noise added to the CIR before the squared magnitude",
+    )
+    reference: Literal["view", "all"] = Field("view", description="whose mean square is the signal: a view's or all's")
+    seed: NonNegativeInt = 0
+
+
+class PeakSettings(Settings):
+    """Peak detector: local maxima above a noise floor that is estimated from the PDP itself."""
+
+    threshold_sigma: PositiveFloat = Field(4.0, description="threshold above the median, in robust standard deviations")
+    dynamic_range_db: PositiveFloat = Field(30.0, description="peaks weaker than the strongest by more are dropped")
+    min_separation: NonNegativeFloat = Field(1.0, description="in resolution cells: 1/B times the window's broadening")
+    max_peaks: Annotated[int, Field(ge=1)] | None = Field(None, description="keep the strongest; by default all")
+    refine: bool = Field(True, description="move each peak to the vertex of the parabola through three samples")
+
+
+class MvlaSettings(Settings):
+    """MVLA-GR's kernel: σ_R = κ·ΔR (``eq:sigmaR_general``), R_T = max(σ_R, η·D) (``eq:RT_def_new``)."""
+
+    kappa: PositiveFloat = 0.5
+    eta: NonNegativeFloat = 0.04
+    extent_m: PositiveFloat | None = Field(None, description="D; by default the target's extent in the CIR file")
+    tolerance_m: PositiveFloat | None = Field(None, description="ε_R of the hard vote; by default ΔR")
+
+
+class ViewSettings(Settings):
+    """Which of a file's views are used: every ``interval_deg``, beginning with view number ``offset``."""
+
+    interval_deg: PositiveFloat | None = Field(None, description="by default every view")
+    offset: NonNegativeInt = 0
+
+
+class ThresholdSettings(Settings):
+    """Joint threshold (``eq:joint_thresholding_new``): the top p per cent of all voxels, then Θ ≥ T_θ."""
+
+    top_percent: Annotated[float, Field(gt=0, le=100)] = 1.0
+    min_support_deg: Annotated[float, Field(ge=0, le=360)] = 0.0
+
+
+class ImagingSettings(Settings):
+    """All settings of ``mvla image``."""
+
+    method: MethodName = "mvla-gr"
+    grid: GridSettings = GridSettings()
+    pdp: PdpSettings = PdpSettings()
+    noise: NoiseSettings = NoiseSettings()
+    peaks: PeakSettings = PeakSettings()
+    mvla: MvlaSettings = MvlaSettings()
+    views: ViewSettings = ViewSettings()
+    threshold: ThresholdSettings | None = Field(None, description="also write the binary image at these thresholds")
+
+
+class EvaluationSettings(Settings):
+    """What the image is compared with, and how."""
+
+    truth: Literal["contour", "filled"] = "contour"
+    distances_m: tuple[PositiveFloat, ...] = Field((0.05, 0.10), description="for precision, recall and F1")
+    threshold: ThresholdSettings | None = Field(None, description="by default the optimum over every p and T_θ")

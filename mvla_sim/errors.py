@@ -1,0 +1,30 @@
+"""Errors that a user can mend: one line that names the file or key, the value and what is allowed."""
+
+from __future__ import annotations
+
+__all__ = ["ConfigError", "DataError", "MvlaError", "OutputError", "RuntimeUnfitError"]
+
+
+class MvlaError(Exception):
+    """Base of every error this package raises on purpose.
+
+    The command line prints it as one line and leaves with :attr:`exit_code`; a traceback never reaches the user.
+    """
+
+    exit_code = 2
+
+
+class ConfigError(MvlaError):
+    """A setting is unknown, of the wrong type, or outside what is allowed."""
+
+
+class DataError(MvlaError):
+    """An input file or array cannot be used: missing, truncated, of another schema, or physically impossible."""
+
+
+class OutputError(MvlaError):
+    """An output cannot be written: read-only, disk full, or not a place for files."""
+
+
+class RuntimeUnfitError(MvlaError):
+    """This machine cannot run the compiled kernels as it is set up; the message says what mends it."""

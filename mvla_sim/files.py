@@ -1,0 +1,84 @@
+"""Writing files so that nothing half-written is ever left under a final name."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from mvla_sim.errors import DataError, OutputError
+
+__all__ = ["atomic_output", "existing_file"]
+
+
+@contextlib.contextmanager
+def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path beside ``path`` and rename it to ``path`` when the block ends without error.
+
+    The temporary name keeps the suffix, so writers that choose a format by it work. On any exception,
+    Ctrl-C included, the temporary file is removed and ``path`` is left as it was.
+
+    Raises
+    ------
+    OutputError
+        The folder is missing, read-only or full, or ``path`` is a folder; the message names ``path``.
+    """
+    target = Path(path)
+    if target.is_dir():
+        raise OutputError(f"{target}: is a folder; give the name of a file")
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
+    except OSError as error:
+        raise OutputError(_reason(target, error)) from error
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(target)
+    except OSError as error:
+        raise OutputError(_reason(target, error)) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def existing_file(path: str | os.PathLike[str], what: str) -> Path:
+    """Return ``path`` as a :class:`~pathlib.Path` if it is a readable, non-empty file.
+
+    Parameters
+    ----------
+    path
+        The file's name.
+    what
+        What the file should be, for the message ("CIR file", "scene").
+
+    Raises
+    ------
+    DataError
+        Missing, a folder, unreadable or empty.
+    """
+    file = Path(path)
+    if file.is_dir():
+        raise DataError(f"{file}: is a folder, not a {what}")
+    if not file.exists():
+        raise DataError(f"{file}: no such {what}")
+    if not os.access(file, os.R_OK):
+        raise DataError(f"{file}: not readable")
+    if file.stat().st_size == 0:
+        raise DataError(f"{file}: is empty, not a {what}")
+    return file
+
+
+def _reason(target: Path, error: OSError) -> str:
+    if error.errno == errno.ENOSPC:
+        return f"{target}: no space left on the disk; nothing was written under this name"
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return f"{target}: not writable ({error.strerror}); choose another place with -o"
+    if error.errno == errno.ENOENT and not target.parent.exists():
+        return f"{target}: the folder {target.parent} does not exist"
+    return f"{target}: cannot be written ({error.strerror or error})"
