@@ -1,0 +1,94 @@
+"""The voxel grid: where the image lives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mvla_sim.config.imaging import GridSettings
+from mvla_sim.errors import ConfigError
+
+__all__ = ["VoxelGrid"]
+
+
+@dataclass(frozen=True)
+class VoxelGrid:
+    """A regular grid of cubic voxels; everything follows from its centre, its counts and its spacing.
+
+    Images on the grid are arrays of shape ``[nz, ny, nx]``; flattened in C order, voxel n of the paper is
+    ``(iz·ny + iy)·nx + ix``.
+
+    Attributes
+    ----------
+    center_m
+        Centre of the grid (x, y, z), metres.
+    counts
+        Numbers of voxels (nx, ny, nz).
+    spacing_m
+        Edge of a voxel, metres.
+    """
+
+    center_m: tuple[float, float, float]
+    counts: tuple[int, int, int]
+    spacing_m: float
+
+    def __post_init__(self) -> None:
+        """Refuse empty grids and spacings that are no length."""
+        if min(self.counts) < 1:
+            raise ConfigError(f"grid: counts = {self.counts}; each must be at least 1")
+        if not (np.isfinite(self.spacing_m) and self.spacing_m > 0):
+            raise ConfigError(f"grid: spacing_m = {self.spacing_m} must be a positive length")
+
+    @classmethod
+    def from_settings(cls, settings: GridSettings) -> VoxelGrid:
+        """Build the grid of a settings block; a size that is no multiple of the spacing is rounded to voxels."""
+        counts = [max(1, round(size / settings.spacing_m)) for size in settings.size_m]
+        return cls(settings.center_m, (counts[0], counts[1], counts[2]), settings.spacing_m)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Shape of an image on the grid, ``(nz, ny, nx)``."""
+        nx, ny, nz = self.counts
+        return nz, ny, nx
+
+    @property
+    def size(self) -> int:
+        """Number of voxels N."""
+        nx, ny, nz = self.counts
+        return nx * ny * nz
+
+    @property
+    def origin_m(self) -> tuple[float, float, float]:
+        """Centre of voxel 0, metres."""
+        x, y, z = (c - (n - 1) / 2 * self.spacing_m for c, n in zip(self.center_m, self.counts, strict=True))
+        return x, y, z
+
+    def axes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Voxel centres along x [nx], y [ny] and z [nz], metres."""
+        x, y, z = (
+            np.asarray(o + self.spacing_m * np.arange(n), np.float64)
+            for o, n in zip(self.origin_m, self.counts, strict=True)
+        )
+        return x, y, z
+
+    def centers(self, indices: NDArray[np.intp] | None = None) -> NDArray[np.float64]:
+        """Voxel centres p_n, ``[n, 3]`` metres: all of them, or those of the given flat indices."""
+        flat = np.arange(self.size) if indices is None else np.asarray(indices)
+        nx, ny, _ = self.counts
+        triple = np.stack([flat % nx, flat // nx % ny, flat // (nx * ny)], axis=-1)
+        return np.asarray(np.asarray(self.origin_m) + self.spacing_m * triple, np.float64)
+
+    def bounds_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lower and upper corner of the grid's box, voxel edges included, ``[3]`` metres each."""
+        half = np.asarray(self.counts) * self.spacing_m / 2
+        center = np.asarray(self.center_m)
+        return center - half, center + half
+
+    def range_span_m(self, positions: NDArray[np.float64]) -> tuple[float, float]:
+        """Nearest and farthest distance from any of the positions ``[n, 3]`` to a voxel centre, metres."""
+        lower, upper = (np.array([a[0] for a in self.axes()]), np.array([a[-1] for a in self.axes()]))
+        nearest = np.linalg.norm(np.clip(positions, lower, upper) - positions, axis=1)
+        farthest = np.linalg.norm(np.maximum(positions - lower, upper - positions), axis=1)
+        return float(nearest.min()), float(farthest.max())
