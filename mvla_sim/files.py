@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mvla_sim.errors import DataError, OutputError
 
-__all__ = ["atomic_output", "existing_file"]
+__all__ = ["atomic_output", "check_writable", "existing_file"]
 
 
 @contextlib.contextmanager
@@ -45,6 +45,25 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise OutputError(_reason(target, error)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Find out, before anything is computed, whether a file of this name can be written.
+
+    Raises
+    ------
+    OutputError
+        As :func:`atomic_output` would later.
+    """
+    target = Path(path)
+    if target.is_dir():
+        raise OutputError(f"{target}: is a folder; give the name of a file")
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", dir=target.parent)
+    except OSError as error:
+        raise OutputError(_reason(target, error)) from error
+    os.close(handle)
+    Path(name).unlink()
 
 
 def existing_file(path: str | os.PathLike[str], what: str) -> Path:

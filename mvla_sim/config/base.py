@@ -19,7 +19,7 @@ from pydantic_core import ErrorDetails
 from mvla_sim.errors import ConfigError
 from mvla_sim.files import existing_file
 
-__all__ = ["Settings", "apply_overrides", "parse", "read_toml"]
+__all__ = ["Settings", "apply_overrides", "assign", "parse", "read_toml", "resolve_beside"]
 
 
 class Settings(BaseModel):
@@ -116,8 +116,36 @@ def apply_overrides(data: dict[str, Any], overrides: Sequence[str]) -> dict[str,
         key, separator, text = override.partition("=")
         if not separator or not re.fullmatch(r"\w+(\.\w+)*", key.strip()):
             raise ConfigError(f"--set {override}: write dotted.key=value, for example --set noise.snr_db=10")
-        _assign(result, key.strip().split("."), _value(text.strip()), override)
+        assign(result, key.strip(), _value(text.strip()), f"--set {override}")
     return result
+
+
+def assign(data: dict[str, Any], dotted: str, value: Any, source: str = "settings") -> None:
+    """Set ``data[a][b][c] = value`` for the dotted key ``a.b.c``, making missing tables on the way.
+
+    Raises
+    ------
+    ConfigError
+        The path goes through a single value, or past the end of a list.
+    """
+    keys = dotted.split(".")
+    node: Any = data
+    for position, key in enumerate(keys):
+        index: Any = key
+        if isinstance(node, list):
+            if not key.isdigit() or int(key) >= len(node):
+                raise ConfigError(
+                    f"{source}: '{key}' is not an element of {'.'.join(keys[:position])}; allowed: 0 to {len(node) - 1}"
+                )
+            index = int(key)
+        elif not isinstance(node, dict):
+            raise ConfigError(f"{source}: '{'.'.join(keys[:position])}' is a single value and has no keys")
+        if position == len(keys) - 1:
+            node[index] = value
+        else:
+            if isinstance(node, dict) and node.get(index) is None:
+                node[index] = {}
+            node = node[index]
 
 
 def _value(text: str) -> Any:
@@ -125,26 +153,6 @@ def _value(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
-
-
-def _assign(data: dict[str, Any], keys: list[str], value: Any, override: str) -> None:
-    node: Any = data
-    for position, key in enumerate(keys):
-        last = position == len(keys) - 1
-        if isinstance(node, list):
-            if not key.isdigit() or int(key) >= len(node):
-                raise ConfigError(f"--set {override}: '{key}' is not an element; allowed: 0 to {len(node) - 1}")
-            index: Any = int(key)
-        elif isinstance(node, dict):
-            index = key
-        else:
-            raise ConfigError(f"--set {override}: '{'.'.join(keys[:position])}' is a single value and has no keys")
-        if last:
-            node[index] = value
-        else:
-            if isinstance(node, dict):
-                node.setdefault(index, {})
-            node = node[index]
 
 
 def _other_branch(item: ErrorDetails) -> bool:

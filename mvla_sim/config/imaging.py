@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, model_validator
 
-from mvla_sim.config.base import Settings
+from mvla_sim.config.base import Settings, apply_overrides, assign, parse
 
 __all__ = [
     "METHOD_NAMES",
+    "SHORT_NAMES",
     "EvaluationSettings",
     "GridSettings",
     "ImagingSettings",
@@ -18,7 +20,9 @@ __all__ = [
     "NoiseSettings",
     "PdpSettings",
     "PeakSettings",
+    "ThresholdSettings",
     "ViewSettings",
+    "imaging_settings",
 ]
 
 MethodName = Literal["mvla-gr", "mvla-hard", "bp"]
@@ -121,3 +125,39 @@ class EvaluationSettings(Settings):
     truth: Literal["contour", "filled"] = "contour"
     distances_m: tuple[PositiveFloat, ...] = Field((0.05, 0.10), description="for precision, recall and F1")
     threshold: ThresholdSettings | None = Field(None, description="by default the optimum over every p and T_θ")
+
+
+SHORT_NAMES: dict[str, str] = {
+    "method": "method",
+    "snr_db": "noise.snr_db",
+    "seed": "noise.seed",
+    "interval_deg": "views.interval_deg",
+    "offset": "views.offset",
+    "kappa": "mvla.kappa",
+    "eta": "mvla.eta",
+    "spacing_m": "grid.spacing_m",
+    "threshold_sigma": "peaks.threshold_sigma",
+}
+"""Names that need no path: in ``imaging_settings``, as options of ``mvla image`` and as axes of an experiment."""
+
+
+def imaging_settings(overrides: Sequence[str] = (), **values: Any) -> ImagingSettings:
+    """Build imaging settings from short names and dotted keys; everything else keeps its default.
+
+    Parameters
+    ----------
+    overrides
+        ``dotted.key=value`` texts, as with ``--set``.
+    **values
+        By short name, for example ``imaging_settings(method="bp", snr_db=20, interval_deg=5)``, or by the name of a
+        whole block, ``imaging_settings(pdp={"window": "hamming"})``.
+
+    Raises
+    ------
+    ConfigError
+        An unknown name or a value that is not allowed.
+    """
+    data: dict[str, Any] = {}
+    for name, value in values.items():
+        assign(data, SHORT_NAMES.get(name, name), "none" if value is None else value)
+    return parse(ImagingSettings, apply_overrides(data, overrides), "imaging settings")

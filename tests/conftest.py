@@ -1,0 +1,21 @@
+"""Shared by all tests: nothing outside temporary folders is written, nothing opens a window."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from hypothesis import settings
+
+os.environ["MPLBACKEND"] = "Agg"
+
+settings.register_profile("mvla", deadline=None)  # the first call of a compiled kernel takes seconds, later ones do not
+settings.load_profile("mvla")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory):
+    """Keep the user's cache out of the tests, and the tests out of the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MVLA_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+        yield

@@ -1,0 +1,103 @@
+"""The rules of the code's structure: one direction of imports, honest ``__all__``, modules that fit a head."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import mvla_sim
+
+ROOT = Path(mvla_sim.__file__).parent
+FLOW = ("scene", "channel", "imaging", "evaluation", "sweep", "report", "cli")
+BASE = ("config", "constants", "errors", "files", "netcdf", "runtime")
+MODULES = sorted(ROOT.rglob("*.py"))
+NAMES = [str(path.relative_to(ROOT)) for path in MODULES]
+
+ENGINE_USERS = ("channel/raytrace.py", "runtime/")
+"""The only places that may import Sionna RT and Mitsuba."""
+ENGINE_AT_IMPORT = ("imaging/kernels.py",)
+"""The only module that may import Dr.Jit when it is imported itself, for it activates the backend first."""
+
+
+def imports(tree):
+    """Full names of everything a module imports, wherever in it."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def parse(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def part_of(name):
+    """The package's part a dotted name belongs to: "imaging" of mvla_sim.imaging.pdp."""
+    return name.split(".")[1]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=NAMES)
+def test_a_stage_imports_nothing_of_a_later_one(path):
+    own = path.relative_to(ROOT).parts[0].removesuffix(".py")
+    used = {part_of(name) for name in imports(parse(path)) if name.startswith("mvla_sim.")}
+    allowed = {*BASE} | ({*FLOW[: FLOW.index(own) + 1]} if own in FLOW else set())
+    allowed |= {"__version__"} if own == "cli" else set()
+    allowed |= set(FLOW) if own == "__init__" else set()  # the package's front names every stage, and imports on use
+    assert used <= allowed
+
+
+def test_the_package_itself_is_imported_at_once():
+    """``mvla --help`` and ``import mvla_sim`` must not wait for the libraries that compute."""
+    heavy = "{'drjit', 'matplotlib', 'mitsuba', 'numpy', 'scipy', 'sionna', 'trimesh', 'xarray'}"
+    for name in ("mvla_sim", "mvla_sim.cli"):
+        program = f"import {name}, sys; sys.exit(' '.join({heavy} & set(sys.modules)) or 0)"
+        child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+        assert child.returncode == 0, child.stderr
+
+
+def test_every_part_is_known():
+    parts = {path.relative_to(ROOT).parts[0].removesuffix(".py") for path in MODULES}
+    assert parts <= {*FLOW, *BASE, "__init__", "__main__"}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=NAMES)
+def test_only_the_tracer_knows_the_engine(path):
+    name = str(path.relative_to(ROOT))
+    used = {imported.split(".")[0] for imported in imports(parse(path))}
+    if not name.startswith(ENGINE_USERS):
+        assert not used & {"sionna", "mitsuba"}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=NAMES)
+def test_nothing_loads_the_engine_before_the_backend_is_chosen(path):
+    """Dr.Jit opens libLLVM when it is imported, so it is imported inside functions, after ``activate()``."""
+    if str(path.relative_to(ROOT)) in ENGINE_AT_IMPORT:
+        return
+    top = [node for node in parse(path).body if isinstance(node, ast.Import | ast.ImportFrom)]
+    used = {imported.split(".")[0] for node in top for imported in imports(node)}
+    assert not used & {"drjit", "mitsuba", "sionna"}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=NAMES)
+def test_public_names_exist_and_are_sorted(path):
+    dotted = ".".join(("mvla_sim", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
+    if dotted.endswith("__main__"):
+        return
+    module = importlib.import_module(dotted)
+    public = list(getattr(module, "__all__", []))
+    assert [name for name in public if not hasattr(module, name)] == []
+    assert len(public) == len(set(public))
+    if path.name != "__init__.py":
+        assert public, "every module says what is public in it"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=NAMES)
+def test_modules_fit_a_head(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= 450
