@@ -1,3 +1,93 @@
-"""mvla-sim: phase-free geometry reconstruction from radio channels."""
+"""mvla-sim: phase-free geometry reconstruction from radio channels.
+
+The stages, in the order data flows::
+
+    scene ──► channel ──► imaging ──► evaluation ──► sweep ──► report
+    mesh,      rays →      PDP →       contour,       plan,     figures
+    views      CIR         image       score          run
+
+Names of the paper, of the code, and their units:
+
+=================  =====================================  ==========
+paper              code                                   unit
+=================  =====================================  ==========
+T_m                ``Views.positions_m[m]``               m
+φ_m                ``Views.angles_deg[m]``                degree
+τ_mi, R_mi         ``Cir.delay_s``, ``Peaks.range_m``     s, m
+P_m(τ)             ``Pdp.power[m]``                       path gain
+p_mi, w_mi         ``Peaks.power``, ``Peaks.weight``      path gain, 1
+ΔR                 ``Pdp.resolution_m``                   m
+κ, η, D            ``mvla.kappa, mvla.eta, extent_m``     1, 1, m
+σ_R, R_T           ``sigma_m``, ``radius_m``              m
+p_n                ``VoxelGrid.centers()[n]``             m
+a_mn, b_mn         profile value, ``distance ≤ radius``   1
+s_n, I_n^BP        ``Image.score``                        1
+Θ_n                ``Image.support_deg``                  degree
+p, T_θ             ``top_percent``, ``min_support_deg``   %, degree
+CD                 ``Scores.cd_db``                       dB(m²)
+=================  =====================================  ==========
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mvla_sim.channel.cir import Cir
+    from mvla_sim.channel.simulate import simulate
+    from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings, imaging_settings
+    from mvla_sim.errors import MvlaError
+    from mvla_sim.evaluation.evaluate import evaluate
+    from mvla_sim.imaging.image import Image
+    from mvla_sim.imaging.pipeline import reconstruct
+    from mvla_sim.report.figures import plot_comparison, plot_image, plot_scene
+    from mvla_sim.report.style import save_figure
+    from mvla_sim.scene.world import Scene
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "Cir": "channel.cir",
+    "EvaluationSettings": "config.imaging",
+    "Image": "imaging.image",
+    "ImagingSettings": "config.imaging",
+    "MvlaError": "errors",
+    "Scene": "scene.world",
+    "evaluate": "evaluation.evaluate",
+    "imaging_settings": "config.imaging",
+    "plot_comparison": "report.figures",
+    "plot_image": "report.figures",
+    "plot_scene": "report.figures",
+    "reconstruct": "imaging.pipeline",
+    "save_figure": "report.style",
+    "simulate": "channel.simulate",
+}
+
+__all__ = [
+    "Cir",
+    "EvaluationSettings",
+    "Image",
+    "ImagingSettings",
+    "MvlaError",
+    "Scene",
+    "evaluate",
+    "imaging_settings",
+    "plot_comparison",
+    "plot_image",
+    "plot_scene",
+    "reconstruct",
+    "save_figure",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its module on first use, so that ``import mvla_sim`` is quick."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'mvla_sim' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"mvla_sim.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

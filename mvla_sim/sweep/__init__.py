@@ -1,1 +1,1 @@
-"""."""
+"""Many cases: the plan of an experiment and its execution."""

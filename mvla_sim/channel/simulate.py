@@ -1,0 +1,142 @@
+"""From a scene to its CIR dataset: trace every view, keep the result, never trace the same thing twice."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from mvla_sim.channel.cir import SCHEMA_VERSION, Cir
+from mvla_sim.channel.raytrace import ViewPaths, ViewTracer
+from mvla_sim.errors import DataError, MvlaError
+from mvla_sim.runtime.cache import cache_folder
+from mvla_sim.runtime.progress import progress
+from mvla_sim.runtime.provenance import provenance
+from mvla_sim.scene.world import Scene
+
+__all__ = ["SimulationInterruptedError", "cache_file", "simulate"]
+
+
+class SimulationInterruptedError(MvlaError):
+    """Ctrl-C while tracing; the views traced so far are kept and the next run goes on from them."""
+
+    exit_code = 130
+
+
+def cache_file(scene: Scene) -> Path:
+    """Name of the cached CIR of a scene.
+
+    The key covers the scene's geometry and settings, its views, radio and solver settings, the CIR schema and the
+    versions of the packages that trace.
+    """
+    key = {
+        "scene": scene.fingerprint(),
+        "schema": SCHEMA_VERSION,
+        "versions": {name: version(name) for name in ("sionna-rt", "mitsuba", "drjit", "mvla-sim")},
+    }
+    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
+    return cache_folder() / "cir" / f"{digest[:32]}.nc"
+
+
+def simulate(scene: Scene, *, cache: bool = True) -> Cir:
+    """Trace every view of a scene.
+
+    Parameters
+    ----------
+    scene
+        The scene to trace.
+    cache
+        Reuse the result of an equal scene traced before, and keep this one. A damaged cache entry is traced again.
+
+    Returns
+    -------
+    Cir
+        One row of paths a view, in the order of ``scene.views``. Views without any path have a row of size 0.
+
+    Raises
+    ------
+    DataError
+        No view has a path, or a view met the cap on paths.
+    SimulationInterruptedError
+        Ctrl-C; with ``cache`` the views traced so far are kept for the next run.
+    """
+    kept = cache_file(scene) if cache else None
+    if kept is not None and (cached := _load(kept)) is not None:
+        return cached
+    partial = kept.with_suffix(".partial.nc") if kept is not None else None
+    views = _resume(partial)
+    tracer = ViewTracer(scene)
+    total = len(scene.views)
+    with progress(f"tracing {scene.name}", total, "views") as advance:
+        advance(len(views))
+        try:
+            for number in range(len(views), total):
+                views.append(tracer.trace(scene.views.positions_m[number], f"{scene.name}, view {number}"))
+                advance(1)
+        except KeyboardInterrupt as stop:
+            message = f"stopped after {len(views)} of {total} views"
+            if partial is not None and views:
+                partial.parent.mkdir(parents=True, exist_ok=True)
+                _assemble(scene, views).save(partial)
+                message += "; they are kept, run the same command to go on"
+            raise SimulationInterruptedError(message) from stop
+    cir = _assemble(scene, views)
+    if cir.gain.size == 0:
+        raise DataError(
+            f"{scene.name}: no path was found at any of {total} views; enable ray_tracing.specular, diffuse or "
+            f"diffraction, or raise the ray counts and the scattering coefficient"
+        )
+    if kept is not None and partial is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        cir.save(kept)
+        partial.unlink(missing_ok=True)
+    return cir
+
+
+def clear_cache() -> None:
+    """Delete every cached CIR."""
+    shutil.rmtree(cache_folder() / "cir", ignore_errors=True)
+
+
+def _load(path: Path) -> Cir | None:
+    """Read a cached file; None where there is none or it is damaged."""
+    if not path.exists():
+        return None
+    try:
+        return Cir.load(path)
+    except DataError:
+        path.unlink(missing_ok=True)
+        return None
+
+
+def _resume(partial: Path | None) -> list[ViewPaths]:
+    """Views that an interrupted run left behind."""
+    earlier = _load(partial) if partial is not None else None
+    if earlier is None:
+        return []
+    rows = [earlier.rows(m) for m in range(earlier.n_view)]
+    return [
+        ViewPaths(earlier.gain[r], earlier.delay_s[r], earlier.interaction[r], earlier.first_point_m[r]) for r in rows
+    ]
+
+
+def _assemble(scene: Scene, views: list[ViewPaths]) -> Cir:
+    """Join the views into one dataset, with everything that decided it."""
+    return Cir(
+        gain=np.concatenate([v.gain for v in views]),
+        delay_s=np.concatenate([v.delay_s for v in views]),
+        interaction=np.concatenate([v.interaction for v in views]),
+        first_point_m=np.concatenate([v.first_point_m for v in views]),
+        row_size=np.array([v.gain.size for v in views], np.int64),
+        views=scene.views.select(np.arange(len(views))),
+        carrier_hz=scene.settings.radio.carrier_hz,
+        bandwidth_hz=scene.settings.radio.bandwidth_hz,
+        extent_m=scene.extent_m,
+        outline=scene.outline,
+        config=scene.settings.model_dump(mode="json"),
+        provenance=provenance(),
+    )

@@ -1,0 +1,65 @@
+"""From a continuous image to a binary one: the joint threshold on score and angular support."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mvla_sim.errors import ConfigError
+
+__all__ = ["joint_threshold", "rank_order", "top_count"]
+
+
+def rank_order(score: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Flat voxel indices by falling score, ties by rising index, ``[N]``."""
+    return np.argsort(-score.ravel(), kind="stable")
+
+
+def top_count(top_percent: float, size: int) -> int:
+    """Number of voxels in the top p per cent of N: round(p/100·N), at least one.
+
+    Raises
+    ------
+    ConfigError
+        p is not in (0, 100].
+    """
+    if not 0 < top_percent <= 100:
+        raise ConfigError(f"threshold.top_percent = {top_percent:g}: must be above 0 and at most 100")
+    return max(1, round(top_percent / 100 * size))
+
+
+def joint_threshold(
+    score: NDArray[np.float32],
+    support_deg: NDArray[np.float32] | None,
+    top_percent: float,
+    min_support_deg: float = 0.0,
+) -> NDArray[np.bool_]:
+    """Keep voxels in the top p per cent of all by score whose angular support is at least T_θ.
+
+    Parameters
+    ----------
+    score
+        s_n or the BP image, any shape.
+    support_deg
+        Θ_n of the same shape, degrees; None for methods without it, which then have no angular test.
+    top_percent
+        p, per cent of all voxels (0.61 means 0.61 %).
+    min_support_deg
+        T_θ, degrees.
+
+    Returns
+    -------
+    ndarray of bool
+        The binary image, of the shape of ``score`` (``eq:joint_thresholding_new``).
+
+    Raises
+    ------
+    ConfigError
+        p is not in (0, 100], or T_θ > 0 for a method without angular support.
+    """
+    if support_deg is None and min_support_deg > 0:
+        raise ConfigError(f"threshold.min_support_deg = {min_support_deg:g}: this method has no angular support; use 0")
+    top = np.zeros(score.size, bool)
+    top[rank_order(score)[: top_count(top_percent, score.size)]] = True
+    kept: NDArray[np.bool_] = top.reshape(score.shape)
+    return kept if support_deg is None else kept & (support_deg >= min_support_deg)

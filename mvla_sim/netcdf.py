@@ -1,0 +1,68 @@
+"""Reading and writing the program's NetCDF-4 files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+
+import xarray as xr
+
+from mvla_sim.errors import DataError
+from mvla_sim.files import atomic_output, existing_file
+
+__all__ = ["open_netcdf", "schema_of", "write_netcdf"]
+
+_PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
+
+
+def write_netcdf(dataset: xr.Dataset, path: str | os.PathLike[str], packed: Iterable[str]) -> None:
+    """Write a dataset under a temporary name and rename it; the ``packed`` variables are compressed and checksummed.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    encoding = {name: _PACKED for name in packed if dataset[name].size}
+    with atomic_output(path) as temporary:
+        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+
+
+def open_netcdf(path: str | os.PathLike[str], schema: str, version: int) -> xr.Dataset:
+    """Load a NetCDF-4 file of this program into memory and check its schema.
+
+    Raises
+    ------
+    DataError
+        Missing, empty, truncated, corrupted, not NetCDF-4, of another schema or schema version.
+    """
+    file = existing_file(path, "NetCDF file")
+    try:
+        with xr.open_dataset(file, engine="h5netcdf", decode_cf=False) as handle:
+            dataset = handle.load()
+    except (OSError, ValueError, KeyError, RuntimeError, AttributeError) as error:
+        raise DataError(f"{file}: not a readable NetCDF-4 file (truncated, corrupted or another format)") from error
+    found = dataset.attrs.get("schema")
+    if found != schema:
+        raise DataError(f"{file}: schema is {found!r}, not {schema!r}")
+    if int(dataset.attrs.get("schema_version", -1)) != version:
+        raise DataError(
+            f"{file}: {schema} version {dataset.attrs.get('schema_version')}; this program reads version {version}"
+        )
+    return dataset
+
+
+def schema_of(file: os.PathLike[str]) -> str | None:
+    """Name of the schema that a NetCDF-4 file declares, None where it declares none.
+
+    Raises
+    ------
+    DataError
+        The file is not NetCDF-4.
+    """
+    try:
+        with xr.open_dataset(file, engine="h5netcdf", decode_cf=False) as handle:
+            schema = handle.attrs.get("schema")
+    except (OSError, ValueError, KeyError, RuntimeError, AttributeError) as error:
+        raise DataError(f"{file}: not a readable NetCDF-4 file (truncated, corrupted or another format)") from error
+    return None if schema is None else str(schema)
