@@ -28,13 +28,13 @@ def write_netcdf(dataset: xr.Dataset, path: str | os.PathLike[str], packed: Iter
         dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
 
 
-def open_netcdf(path: str | os.PathLike[str], schema: str, version: int) -> xr.Dataset:
-    """Load a NetCDF-4 file of this program into memory and check its schema.
+def open_netcdf(path: str | os.PathLike[str], schema: str, version: int, variables: Iterable[str]) -> xr.Dataset:
+    """Load a NetCDF-4 file of this program into memory; check its schema and that it holds ``variables``.
 
     Raises
     ------
     DataError
-        Missing, empty, truncated, corrupted, not NetCDF-4, of another schema or schema version.
+        Missing, empty, truncated, corrupted, not NetCDF-4, of another schema or schema version, or incomplete.
     """
     file = existing_file(path, "NetCDF file")
     try:
@@ -49,6 +49,9 @@ def open_netcdf(path: str | os.PathLike[str], schema: str, version: int) -> xr.D
         raise DataError(
             f"{file}: {schema} version {dataset.attrs.get('schema_version')}; this program reads version {version}"
         )
+    for name in variables:
+        if name not in dataset:
+            raise DataError(f"{file}: variable '{name}' is missing from this {schema} file")
     return dataset
 
 

@@ -30,6 +30,11 @@ SCHEMA_VERSION = 1
 INTERACTIONS: dict[str, int] = {"specular": 1, "diffuse": 2, "refraction": 4, "diffraction": 8}
 """Bits of ``interaction``; a path of several interactions has the bits of all of them."""
 
+_VARIABLES = (
+    "gain_real", "gain_imag", "delay", "interaction", "first_point", "row_size",
+    "position", "angle", "center", "carrier_frequency", "bandwidth", "target_extent",
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Cir:
@@ -224,7 +229,7 @@ class Cir:
         DataError
             Missing, empty, truncated, not NetCDF-4, no CIR file, of another schema version, or inconsistent.
         """
-        dataset = open_netcdf(path, SCHEMA, SCHEMA_VERSION)
+        dataset = open_netcdf(path, SCHEMA, SCHEMA_VERSION, _VARIABLES)
         try:
             wkt = dataset.attrs.get("target_outline_wkt")
             return cls(
@@ -245,8 +250,6 @@ class Cir:
                 config=json.loads(dataset.attrs.get("config", "{}")),
                 provenance=json.loads(dataset.attrs.get("provenance", "{}")),
             )
-        except KeyError as error:
-            raise DataError(f"{path}: variable {error} is missing from this CIR file") from error
         except (ValueError, TypeError, shapely.GEOSException) as error:
             raise DataError(f"{path}: not a readable CIR file ({error})") from error
         except DataError as error:

@@ -203,10 +203,12 @@ class ViewTracer:
         if one.mixed_only:
             keep &= diffuse & (interaction != INTERACTIONS["diffuse"])
         amplitude *= np.where(diffuse, np.sqrt(window.fraction), 1.0)
-        gain = amplitude * np.exp(-2j * np.pi * self._carrier_hz * delay)
-        return ViewPaths(
-            gain[keep].astype(np.complex64), delay[keep], interaction[keep], points[0][keep].astype(np.float32)
-        )
+        gain = (amplitude * np.exp(-2j * np.pi * self._carrier_hz * delay)).astype(np.complex64)
+        first = points[0].astype(np.float32)
+        # The solver's set of paths is deterministic; their order is that in which its threads finish.
+        order = np.lexsort((gain.imag, gain.real, *first.T, interaction, delay))
+        order = order[keep[order]]
+        return ViewPaths(gain[order], delay[order], interaction[order], first[order])
 
     def _build(self, scene: Scene) -> Any:
         """Make Sionna's scene: objects with materials, one transmitter and one receiver."""
@@ -225,7 +227,9 @@ class ViewTracer:
             try:
                 world.edit(add=objects)
             except ValueError as error:  # an ITU material outside the frequencies it is defined for
-                raise ConfigError(f"{scene.name}: radio.carrier_hz = {scene.settings.radio.carrier_hz:g}: {error}") from error
+                raise ConfigError(
+                    f"{scene.name}: radio.carrier_hz = {scene.settings.radio.carrier_hz:g}: {error}"
+                ) from error
         array = rt.PlanarArray(
             num_rows=1, num_cols=1, vertical_spacing=0.5, horizontal_spacing=0.5,
             pattern="iso", polarization=scene.settings.radio.polarization,

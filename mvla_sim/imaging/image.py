@@ -110,7 +110,7 @@ class Image:
         DataError
             Missing, empty, truncated, not NetCDF-4, no image file, of another schema version, or inconsistent.
         """
-        dataset = open_netcdf(path, SCHEMA, SCHEMA_VERSION)
+        dataset = open_netcdf(path, SCHEMA, SCHEMA_VERSION, ("score", "x", "y", "z"))
         try:
             axes = [dataset[name].values.astype(np.float64) for name in "xyz"]
             center = tuple(float((a[0] + a[-1]) / 2) for a in axes)
@@ -128,6 +128,6 @@ class Image:
                 provenance=json.loads(dataset.attrs["provenance"]),
             )
         except KeyError as error:
-            raise DataError(f"{path}: {error} is missing from this image file") from error
+            raise DataError(f"{path}: attribute {error} is missing from this image file") from error
         except (ValueError, TypeError, IndexError, shapely.GEOSException) as error:
             raise DataError(f"{path}: not a readable image file ({error})") from error
