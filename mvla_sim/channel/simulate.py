@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from mvla_sim.channel.cir import SCHEMA_VERSION, Cir
 from mvla_sim.channel.raytrace import ViewPaths, ViewTracer
 from mvla_sim.errors import DataError, MvlaError
 from mvla_sim.runtime.cache import cache_folder
+from mvla_sim.runtime.interrupt import deferred_interrupt
 from mvla_sim.runtime.progress import progress
 from mvla_sim.runtime.provenance import provenance
 from mvla_sim.scene.world import Scene
@@ -66,7 +68,7 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
     """
     kept = cache_file(scene) if cache else None
     if kept is not None and (cached := _load(kept)) is not None:
-        return cached
+        return replace(cached, config=scene.settings.model_dump(mode="json"))  # an equal scene may bear another name
     partial = kept.with_suffix(".partial.nc") if kept is not None else None
     views = _resume(partial)
     tracer = ViewTracer(scene)
@@ -74,9 +76,11 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
     with progress(f"tracing {scene.name}", total, "views") as advance:
         advance(len(views))
         try:
-            for number in range(len(views), total):
-                views.append(tracer.trace(scene.views.positions_m[number], f"{scene.name}, view {number}"))
-                advance(1)
+            with deferred_interrupt() as check:
+                for number in range(len(views), total):
+                    views.append(tracer.trace(scene.views.positions_m[number], f"{scene.name}, view {number}"))
+                    advance(1)
+                    check()
         except KeyboardInterrupt as stop:
             message = f"stopped after {len(views)} of {total} views"
             if partial is not None and views:

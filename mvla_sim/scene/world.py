@@ -169,7 +169,12 @@ def _sections(objects: Sequence[SceneObject], height_m: float, source: str) -> l
     if not reached and len(objects) > 1:
         spans = ", ".join(f"{o.name} {o.mesh.bounds[0, 2]:.4g} to {o.mesh.bounds[1, 2]:.4g} m" for o in objects)
         raise ConfigError(f"{source}: plane_height_m = {height_m:g} cuts none of the objects ({spans})")
-    return [(item, cross_section(item.mesh, height_m, f"{source}: {item.name}")) for item in reached or objects]
+    return [(item, cross_section(item.mesh, height_m, f"{source}: {_called(item)}")) for item in reached or objects]
+
+
+def _called(item: SceneObject) -> str:
+    """Name of an object for a message, with its file where it has one."""
+    return f"{item.name} ({item.settings.file})" if isinstance(item.settings, MeshFile) else item.name
 
 
 def _widest_m(area: BaseGeometry) -> float:

@@ -1,0 +1,118 @@
+"""Score an image against the target's cross-section."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mvla_sim.config.imaging import EvaluationSettings
+from mvla_sim.errors import DataError
+from mvla_sim.evaluation.ground_truth import check_inside, rasterize
+from mvla_sim.evaluation.metrics import Scores, score
+from mvla_sim.evaluation.tuning import Optimum, TruthGeometry, optimal_thresholds
+from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.threshold import joint_threshold, top_count
+
+__all__ = ["Evaluation", "evaluate", "ground_truth"]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How well an image fits its ground truth.
+
+    Attributes
+    ----------
+    protocol
+        ``optimal``: thresholds chosen with the ground truth (an oracle); ``given``: thresholds from the settings.
+    top_percent, min_support_deg
+        The thresholds p (per cent of all voxels) and T_θ (degrees) that ``scores`` were measured at.
+    scores
+        CD, accuracy, completeness, precision, recall, F1 and Hausdorff-95 at those thresholds.
+    optimum
+        The exact optimum over every p and T_θ, whatever the protocol.
+    truth, occupied
+        Ground truth and binary reconstruction, ``[nz, ny, nx]`` bool.
+    """
+
+    protocol: str
+    top_percent: float
+    min_support_deg: float
+    scores: Scores
+    optimum: Optimum
+    truth: NDArray[np.bool_]
+    occupied: NDArray[np.bool_]
+
+    @property
+    def cd_db(self) -> float:
+        """Chamfer distance at the thresholds used, dB(m²)."""
+        return self.scores.cd_db
+
+    def as_dict(self) -> dict[str, Any]:
+        """Flat row for a table: thresholds, metrics, optimum."""
+        return {
+            "protocol": self.protocol,
+            "top_percent": self.top_percent,
+            "min_support_deg": self.min_support_deg,
+            **self.scores.as_dict(),
+            "optimal_cd_db": self.optimum.cd_db,
+            "optimal_top_percent": self.optimum.top_percent,
+            "optimal_min_support_deg": self.optimum.min_support_deg,
+        }
+
+
+def ground_truth(image: Image, settings: EvaluationSettings) -> NDArray[np.bool_]:
+    """Rasterise the outline that an image carries onto its grid, ``[nz, ny, nx]`` bool.
+
+    Raises
+    ------
+    DataError
+        The image has no outline (measured data), or the outline reaches out of the grid.
+    """
+    if image.outline is None:
+        raise DataError("the image carries no outline of its target, so there is no ground truth to compare with")
+    check_inside(image.outline, image.grid)
+    return rasterize(image.outline, image.grid, settings.truth)
+
+
+def evaluate(
+    image: Image, settings: EvaluationSettings | None = None, geometry: TruthGeometry | None = None
+) -> Evaluation:
+    """Score an image.
+
+    Parameters
+    ----------
+    image
+        A continuous image.
+    settings
+        Kind of truth, distances for F1, and thresholds; without thresholds those of the exact optimum are used.
+    geometry
+        The truth, prepared by :class:`TruthGeometry`; give it when many images share one truth and grid.
+
+    Raises
+    ------
+    DataError
+        No ground truth, or it does not fit the grid.
+    ConfigError
+        Thresholds that the method does not know.
+    """
+    settings = settings or EvaluationSettings()
+    if geometry is None:
+        truth = ground_truth(image, settings)
+        geometry = TruthGeometry.build(truth, image.grid)
+    else:
+        truth = np.zeros(image.grid.size, bool)
+        truth[geometry.voxels] = True
+        truth = truth.reshape(image.grid.shape)
+    optimum = optimal_thresholds(image.score, image.support_deg, geometry)
+    if settings.threshold is None:
+        protocol, percent, support = "optimal", optimum.top_percent, optimum.min_support_deg
+    else:
+        protocol = "given"
+        percent, support = settings.threshold.top_percent, settings.threshold.min_support_deg
+        top_count(percent, image.grid.size)
+    occupied = joint_threshold(image.score, image.support_deg, percent, support)
+    scores = score(truth, occupied, image.grid, settings.distances_m)
+    return Evaluation(protocol, percent, support, scores, optimum, truth, occupied)
