@@ -1,0 +1,132 @@
+"""How every picture looks and how it is written: sizes, fonts, colours, file formats."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from mvla_sim.errors import ConfigError
+from mvla_sim.files import atomic_output
+
+__all__ = [
+    "COLORS",
+    "DOUBLE_COLUMN_IN",
+    "FIGURE_SUFFIXES",
+    "MAPS",
+    "PNG_DPI",
+    "SINGLE_COLUMN_IN",
+    "figure_style",
+    "new_figure",
+    "save_figure",
+]
+
+SINGLE_COLUMN_IN = 3.5
+"""Width of one column of an IEEE journal, inches."""
+DOUBLE_COLUMN_IN = 7.16
+"""Width of a page of an IEEE journal, both columns and the gap between them, inches."""
+PNG_DPI = 200
+"""Dots an inch of a PNG."""
+VECTOR_DPI = 400
+"""Dots an inch of the maps inside a PDF or SVG; lines and text have no resolution there."""
+FIGURE_SUFFIXES = (".pdf", ".png", ".svg")
+
+COLORS = {
+    "blue": "#0072B2",
+    "vermilion": "#D55E00",
+    "green": "#009E73",
+    "purple": "#CC79A7",
+    "orange": "#E69F00",
+    "sky": "#56B4E9",
+    "black": "#000000",
+    "grey": "#999999",
+}
+"""Colours that the common forms of colour blindness keep apart (Okabe and Ito 2008), and grey."""
+MAPS = {"score": "inferno", "support": "viridis", "power": "inferno", "ordered": "viridis"}
+"""Perceptually uniform colour maps, one for each kind of quantity."""
+
+_STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib, so that every machine draws the same
+    "font.size": 7,
+    "axes.titlesize": 7.5,
+    "axes.labelsize": 7,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
+    "legend.fontsize": 6.5,
+    "figure.titlesize": 8,
+    "axes.linewidth": 0.6,
+    "axes.titlepad": 4,
+    "axes.labelpad": 2,
+    "grid.linewidth": 0.4,
+    "grid.color": "#D9D9D9",
+    "lines.linewidth": 1.1,
+    "lines.markersize": 3.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "xtick.minor.size": 1.5,
+    "ytick.minor.size": 1.5,
+    "legend.frameon": False,
+    "legend.handlelength": 2.2,
+    "legend.columnspacing": 1.2,
+    "figure.constrained_layout.h_pad": 0.03,
+    "figure.constrained_layout.w_pad": 0.05,
+    "text.parse_math": False,  # a $ in a name is a $
+    "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
+    "svg.fonttype": "path",  # text looks the same where the font is missing
+    "svg.hashsalt": "mvla-sim",  # else the identifiers inside an SVG are random
+}
+_METADATA: dict[str, dict[str, Any]] = {
+    ".pdf": {"CreationDate": None},
+    ".png": {"Software": None},
+    ".svg": {"Date": None},
+}
+
+
+@contextlib.contextmanager
+def figure_style() -> Iterator[None]:
+    """Draw in the package's style inside the block, whatever the user's own settings are; they are back after it."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
+        yield
+
+
+def new_figure(width_in: float, height_in: float, *, constrained: bool = True) -> Figure:
+    """Return an empty figure of the given size in inches, with a canvas that needs no display.
+
+    ``constrained``: panels are placed when the figure is drawn, so that nothing overlaps.
+    """
+    figure = Figure(figsize=(width_in, height_in), layout="constrained" if constrained else None)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure in the format of the file's suffix, under a temporary name that is then renamed.
+
+    The same figure gives the same bytes: no time is written into it. A PNG has 200 dots an inch, so its size in pixels
+    is 200 times the figure's in inches.
+
+    Raises
+    ------
+    ConfigError
+        The suffix is none of ``.pdf``, ``.png``, ``.svg``.
+    OutputError
+        The file cannot be written.
+    """
+    target = Path(path)
+    suffix = target.suffix.lower()
+    if suffix not in FIGURE_SUFFIXES:
+        given = f"suffix '{target.suffix}'" if target.suffix else "no suffix"
+        raise ConfigError(f"{target}: a picture with {given}; allowed: {', '.join(FIGURE_SUFFIXES)}")
+    dpi = PNG_DPI if suffix == ".png" else VECTOR_DPI
+    with figure_style(), atomic_output(target) as temporary:
+        figure.savefig(temporary, format=suffix[1:], dpi=dpi, metadata=_METADATA[suffix])
