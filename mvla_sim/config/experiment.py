@@ -7,14 +7,41 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, field_validator, model_validator
 
 from mvla_sim.config.base import Settings, apply_overrides, parse, read_toml, resolve_beside
-from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings
+from mvla_sim.config.imaging import SHORT_NAMES, EvaluationSettings, ImagingSettings
 
-__all__ = ["AxisValue", "ExperimentSettings", "load_experiment"]
+__all__ = ["ALL", "OFFSET", "AxisValue", "CalibrationSettings", "ExperimentSettings", "dotted_key", "load_experiment"]
 
-AxisValue = bool | int | float | str
+AxisValue = bool | int | float | str | None
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w-]*$")]
+
+ALL = "all"
+"""The value of the axis ``offset`` that stands for every offset of a case's interval."""
+
+OFFSET = f"imaging.{SHORT_NAMES['offset']}"
+"""The full dotted key of ``offset``."""
+
+
+def dotted_key(axis: str) -> str | None:
+    """Full dotted key of the setting that an axis names; None where it has the form of none."""
+    if axis in SHORT_NAMES:
+        return f"imaging.{SHORT_NAMES[axis]}"
+    block, _, rest = axis.partition(".")
+    return axis if rest and block in ("imaging", "evaluation", "scene") else None
+
+
+class CalibrationSettings(Settings):
+    """Thresholds taken from another experiment's optimal ones instead of this experiment's own ground truth.
+
+    For each combination of the other experiment's axes that are not in ``over``, the thresholds are the means of its
+    optimal p and T_θ: first over all its cases of one value of ``over``'s first name, then over these values, so that
+    each interval weighs the same however many offsets it has.
+    """
+
+    source: Name = Field(alias="from", description="name of the other experiment's folder, beside this one's")
+    over: Annotated[tuple[str, ...], Field(min_length=1)] = ("interval_deg", "offset", "seed")
 
 
 class ExperimentSettings(Settings):
@@ -22,15 +49,55 @@ class ExperimentSettings(Settings):
 
     An axis is a short name (``snr_db``, ``interval_deg``, ``offset``, ``seed``, ``method``, ``kappa``, ``eta``, …) or a
     dotted key that begins with ``imaging.``, ``evaluation.`` or ``scene.``; cases are the product of all axes.
+    ``offset = "all"`` stands for every offset of a case's interval.
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w-]*$")]
+    name: Name
     description: str = ""
     scenes: Annotated[tuple[str, ...], Field(min_length=1)]
     imaging: ImagingSettings = ImagingSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
-    axes: dict[str, Annotated[tuple[AxisValue, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    calibration: CalibrationSettings | None = Field(None, description="thresholds from another experiment's table")
+    axes: dict[str, tuple[AxisValue, ...]] = Field(default_factory=dict)
     show: tuple[dict[str, AxisValue], ...] = Field((), description="cases of which pictures are drawn, by axis value")
+
+    @field_validator("axes")
+    @classmethod
+    def _check_axes(cls, axes: dict[str, tuple[AxisValue, ...]]) -> dict[str, tuple[AxisValue, ...]]:
+        keys: dict[str, str] = {}
+        for axis, values in axes.items():
+            key = dotted_key(axis)
+            if key is None:
+                raise ValueError(
+                    f"'{axis}' names no setting; allowed: {', '.join(sorted(SHORT_NAMES))}, or a dotted key that "
+                    f"begins with imaging., evaluation. or scene."
+                )
+            if key in keys:
+                raise ValueError(f"'{axis}' and '{keys[key]}' name the same setting")
+            keys[key] = axis
+            if not values:
+                raise ValueError(f"'{axis}' is empty; give at least one value")
+            seen: list[AxisValue] = []
+            for value in values:
+                if any(value == other and isinstance(value, bool) == isinstance(other, bool) for other in seen):
+                    raise ValueError(f"'{axis}' has {value!r} twice")
+                seen.append(value)
+            if key == OFFSET and ALL in values and len(values) > 1:
+                raise ValueError(f"'{axis}' has '{ALL}' and other values; give one or the other")
+        return axes
+
+    @model_validator(mode="after")
+    def _check(self) -> ExperimentSettings:
+        for wanted in self.show:
+            for key in wanted:
+                if key != "scene" and key not in self.axes:
+                    allowed = ", ".join(["scene", *self.axes])
+                    raise ValueError(f"show: '{key}' is no axis of this experiment; allowed: {allowed}")
+        thresholds = [axis for axis in self.axes if axis.startswith("evaluation.threshold")]
+        if self.calibration and (thresholds or self.evaluation.threshold is not None):
+            given = f"axes.{thresholds[0]}" if thresholds else "evaluation.threshold"
+            raise ValueError(f"calibration and {given} both give thresholds; keep one")
+        return self
 
 
 def load_experiment(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> ExperimentSettings:
@@ -45,4 +112,8 @@ def load_experiment(path: str | os.PathLike[str], overrides: Sequence[str] = ())
     if isinstance(data.get("scenes"), list):
         folder = Path(path).parent
         data["scenes"] = [resolve_beside(s, folder) if isinstance(s, str) else s for s in data["scenes"]]
+    if isinstance(data.get("axes"), dict):
+        data["axes"] = {
+            key: [ALL] if value == ALL and dotted_key(key) == OFFSET else value for key, value in data["axes"].items()
+        }
     return parse(ExperimentSettings, data, str(path))

@@ -2,87 +2,204 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
 
+from mvla_sim.channel.simulate import cache_file
 from mvla_sim.config.base import assign, parse
-from mvla_sim.config.experiment import AxisValue, ExperimentSettings
-from mvla_sim.config.imaging import SHORT_NAMES, EvaluationSettings, ImagingSettings
+from mvla_sim.config.experiment import ALL, OFFSET, AxisValue, ExperimentSettings, dotted_key
+from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings, ViewSettings
 from mvla_sim.config.scene import SceneSettings, load_scene
 from mvla_sim.errors import ConfigError
+from mvla_sim.imaging.pipeline import select_views
+from mvla_sim.scene.world import Scene
+from mvla_sim.sweep.calibration import Calibration
+from mvla_sim.sweep.case import Case, case_key, setting_columns
 
-__all__ = ["Case", "expand"]
+__all__ = ["CASE_LIMIT", "Plan", "expand"]
+
+CASE_LIMIT: Final = 20_000
+"""Cases above which a run must be asked for on purpose."""
+
+Values = Mapping[str, AxisValue]
 
 
 @dataclass(frozen=True)
-class Case:
-    """One point of a sweep.
+class Plan:
+    """The cases of an experiment.
 
     Attributes
     ----------
-    number
-        Place in the plan, from 0.
-    scene, imaging, evaluation
-        Complete, validated settings.
-    values
-        Scene name and the axis values of this case.
+    experiment
+        The experiment's settings.
+    cases
+        All cases, by number.
+    scenes
+        The scene of each channel that the cases use.
+    files
+        Settings of each scene file, by the scene's name, before any axis.
     """
 
-    number: int
-    scene: SceneSettings
-    imaging: ImagingSettings
-    evaluation: EvaluationSettings
-    values: Mapping[str, AxisValue] = field(default_factory=dict)
+    experiment: ExperimentSettings
+    cases: tuple[Case, ...]
+    scenes: Mapping[str, Scene]
+    files: Mapping[str, SceneSettings]
 
 
-def expand(experiment: ExperimentSettings) -> list[Case]:
+def expand(experiment: ExperimentSettings, folder: Path | None = None, limit: int | None = CASE_LIMIT) -> Plan:
     """Return the product of scenes and axes, in the order of the file, every case validated.
+
+    Parameters
+    ----------
+    experiment
+        The experiment.
+    folder
+        The folder its results go to; experiments that calibrate with another one's table look beside it.
+    limit
+        Largest number of cases; None for any.
 
     Raises
     ------
     ConfigError
-        An axis names no setting, or a value of it is not allowed; nothing has run by then.
+        An axis names no setting, a value of it is not allowed, an offset or interval does not fit the scene's views,
+        two scenes have one name, or there are more cases than ``limit``; nothing has run by then.
+    DataError
+        A scene file, or the table to calibrate with, cannot be used.
     """
-    keys = {axis: _dotted(axis, experiment) for axis in experiment.axes}
-    blocks = {
-        "imaging": experiment.imaging.model_dump(mode="json"),
-        "evaluation": experiment.evaluation.model_dump(mode="json"),
-    }
-    cases: list[Case] = []
-    for file in experiment.scenes:
-        scene = load_scene(file)
-        for values in itertools.product(*experiment.axes.values()):
-            chosen = dict(zip(experiment.axes, values, strict=True))
-            data = {name: _copy(block) for name, block in blocks.items()}
-            scene_settings = scene.model_dump(mode="json") if any(k.startswith("scene.") for k in keys.values()) else {}
-            data["scene"] = scene_settings
-            source = f"experiment {experiment.name}: axes"
-            for axis, value in chosen.items():
-                assign(data, keys[axis], value, f"{source}.{axis}")
-            cases.append(
-                Case(
-                    number=len(cases),
-                    scene=parse(SceneSettings, scene_settings, source) if scene_settings else scene,
-                    imaging=parse(ImagingSettings, data["imaging"], source),
-                    evaluation=parse(EvaluationSettings, data["evaluation"], source),
-                    values={"scene": scene.name, **chosen},
-                )
-            )
-    return cases
-
-
-def _dotted(axis: str, experiment: ExperimentSettings) -> str:
-    """Full dotted key of an axis."""
-    if axis in SHORT_NAMES:
-        return f"imaging.{SHORT_NAMES[axis]}"
-    if axis.partition(".")[0] in ("imaging", "evaluation", "scene") and "." in axis:
-        return axis
-    raise ConfigError(
-        f"experiment {experiment.name}: axes.{axis}: names no setting; allowed: {', '.join(sorted(SHORT_NAMES))}, or a "
-        f"dotted key that begins with imaging., evaluation. or scene."
+    least = len(experiment.scenes) * math.prod(len(values) for values in experiment.axes.values())
+    _check_limit(experiment, least, "at least ", limit)
+    builder = _Builder(experiment)
+    points = list(itertools.islice(builder.points(), limit))
+    if len(points) == limit:
+        _check_limit(experiment, sum(1 for _ in builder.points()), "", limit)
+    calibration = None
+    if experiment.calibration is not None:
+        calibration = Calibration.load(experiment.calibration, folder or Path(experiment.name))
+    cases = tuple(
+        builder.case(number, name, channel, values, calibration)
+        for number, (name, channel, values) in enumerate(points)
     )
+    return Plan(experiment, cases, builder.scenes, builder.files)
 
 
-def _copy(block: dict[str, object]) -> dict[str, object]:
-    return {key: _copy(value) if isinstance(value, dict) else value for key, value in block.items()}
+def _check_limit(experiment: ExperimentSettings, count: int, more: str, limit: int | None) -> None:
+    if limit is not None and count > limit:
+        raise ConfigError(
+            f"experiment {experiment.name}: {more}{count:,} cases, the limit is {limit:,}; shorten the axes or say --yes"
+        )
+
+
+class _Builder:
+    """Builds each distinct scene and each distinct block of settings once."""
+
+    def __init__(self, experiment: ExperimentSettings) -> None:
+        self.experiment = experiment
+        self.source = f"experiment {experiment.name}: axes"
+        self.keys = {axis: key for axis in experiment.axes if (key := dotted_key(axis)) is not None}
+        self.offset = next((axis for axis, key in self.keys.items() if key == OFFSET), None)
+        self.all_offsets = self.offset is not None and experiment.axes[self.offset] == (ALL,)
+        self.files: dict[str, SceneSettings] = {}
+        self.scenes: dict[str, Scene] = {}
+        for file in experiment.scenes:
+            scene = load_scene(file)
+            if scene.name in self.files:
+                raise ConfigError(f"{file}: name = '{scene.name}' is also the name of another scene of this experiment")
+            self.files[scene.name] = scene
+        self._blocks = {
+            "imaging": experiment.imaging.model_dump(mode="json"),
+            "evaluation": experiment.evaluation.model_dump(mode="json"),
+        }
+        self._channels: dict[tuple[Any, ...], str] = {}
+        self._parsed: dict[tuple[Any, ...], Any] = {}
+        self._strides: dict[tuple[str, ViewSettings], int] = {}
+
+    def points(self) -> Iterator[tuple[str, str, Values]]:
+        """Scene name, channel and axis values of each case; offsets run fastest where they are 'all'."""
+        axes = self.experiment.axes
+        for name in self.files:
+            for combination in itertools.product(*axes.values()):
+                values = dict(zip(axes, combination, strict=True))
+                channel = self.channel(name, values)
+                views = self._imaging(values).views
+                if not self.all_offsets:
+                    self._stride(channel, views)
+                    yield name, channel, values
+                    continue
+                for offset in range(self._stride(channel, views)):
+                    yield name, channel, values | {str(self.offset): offset}
+
+    def channel(self, name: str, values: Values) -> str:
+        """Build the scene at these axis values, if it is new, and return the name of its channel."""
+        chosen = self._of("scene", values)
+        place = (name, *chosen.items())
+        if place not in self._channels:
+            settings = self.files[name]
+            if chosen:
+                data = settings.model_dump(mode="json")
+                for axis, value in chosen.items():
+                    assign({"scene": data}, self.keys[axis], _plain(value), f"{self.source}.{axis}")
+                settings = parse(SceneSettings, data, self.source)
+            scene = Scene.from_settings(settings, name)
+            self._channels[place] = cache_file(scene).stem
+            self.scenes.setdefault(self._channels[place], scene)
+            self._parsed[place] = settings
+        return self._channels[place]
+
+    def case(self, number: int, name: str, channel: str, values: Values, calibration: Calibration | None) -> Case:
+        """Put a case together."""
+        imaging = self._imaging(values)
+        if self.all_offsets:
+            views = imaging.views.model_copy(update={"offset": values[str(self.offset)]})
+            imaging = imaging.model_copy(update={"views": views})
+        evaluation: EvaluationSettings = self._block("evaluation", EvaluationSettings, values)
+        scene = self._parsed[(name, *self._of("scene", values).items())]
+        case = Case(number, scene, imaging, evaluation, channel, "", {"scene": name, **values})
+        if calibration is not None:
+            thresholds = calibration.thresholds(setting_columns(case))
+            evaluation = evaluation.model_copy(update={"threshold": thresholds})
+        key = case_key(channel, imaging, evaluation)
+        return Case(number, scene, imaging, evaluation, channel, key, case.values)
+
+    def _imaging(self, values: Values) -> ImagingSettings:
+        """Imaging settings at these axis values, at offset 0 where offsets are 'all'."""
+        if self.all_offsets:
+            values = {axis: value for axis, value in values.items() if axis != self.offset}
+        settings: ImagingSettings = self._block("imaging", ImagingSettings, values)
+        return settings
+
+    def _of(self, block: str, values: Values) -> dict[str, AxisValue]:
+        """The axis values that belong to a block of settings."""
+        return {axis: value for axis, value in values.items() if self.keys[axis].startswith(f"{block}.")}
+
+    def _block(self, block: str, model: type[Any], values: Values) -> Any:
+        """One block of settings at these axis values, validated once."""
+        chosen = self._of(block, values)
+        place = (block, *((axis, type(value), value) for axis, value in chosen.items()))
+        if place not in self._parsed:
+            data = {block: copy.deepcopy(self._blocks[block])}
+            for axis, value in chosen.items():
+                assign(data, self.keys[axis], _plain(value), f"{self.source}.{axis}")
+            self._parsed[place] = parse(model, data[block], self.source)
+        return self._parsed[place]
+
+    def _stride(self, channel: str, views: ViewSettings) -> int:
+        """Number of offsets of an interval; refuses interval and offset that the scene's views do not have."""
+        place = (channel, views)
+        if place not in self._strides:
+            scene = self.scenes[channel]
+            try:
+                chosen = select_views(scene.views, views)
+            except ConfigError as error:
+                raise ConfigError(f"experiment {self.experiment.name}: scene {scene.name}: {error}") from error
+            self._strides[place] = len(scene.views) // len(chosen)
+        return self._strides[place]
+
+
+def _plain(value: AxisValue) -> AxisValue:
+    """The value as a TOML file would have it."""
+    return "none" if value is None else value

@@ -1,0 +1,249 @@
+"""Commands of ``mvla``. Heavy modules are imported inside the commands that need them, so that help is quick."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from typer.exceptions import TyperException
+
+from mvla_sim import __version__
+from mvla_sim.errors import ConfigError, MvlaError
+
+__all__ = ["app", "run"]
+
+app = typer.Typer(
+    name="mvla",
+    help="Phase-free geometry reconstruction from radio channels: trace, image, score, sweep.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+scene_app = typer.Typer(help="Look at scenes and export them.")
+app.add_typer(scene_app, name="scene")
+
+errors = Console(stderr=True, soft_wrap=True, highlight=False)
+out = Console(soft_wrap=True, highlight=False)
+
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", help="Override a setting: dotted.key=value. May be repeated.")
+]
+Output = Annotated[Path, typer.Option("--output", "-o", help="File to write.")]
+SceneFile = Annotated[Path, typer.Argument(help="A scene file (TOML), as in scenes/.")]
+
+
+def run(arguments: list[str]) -> int:
+    """Run the command line and return its exit code; errors of the package are one line and code 2."""
+    if arguments in ([], ["scene"]):
+        arguments = [*arguments, "--help"]
+    try:
+        code = app(arguments, standalone_mode=False)
+    except TyperException as error:
+        errors.print(f"mvla: error: {error.format_message()}", markup=False)
+        return 2
+    except MvlaError as error:
+        errors.print(f"mvla: error: {error}", markup=False)
+        return error.exit_code
+    except (KeyboardInterrupt, typer.Abort):
+        errors.print("mvla: stopped; finished files are whole, nothing half-written is left", markup=False)
+        return 130
+    except MemoryError as error:
+        errors.print(f"mvla: error: out of memory ({error}); use a coarser grid or fewer rays", markup=False)
+        return 2
+    return code if isinstance(code, int) else 0
+
+
+def _version(value: bool) -> None:
+    if value:
+        out.print(f"mvla-sim {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    del version
+
+
+@app.command()
+def doctor() -> None:
+    """Check this machine: backend, libLLVM, packages, memory, and a one-ray smoke trace."""
+    from mvla_sim.runtime.doctor import report
+
+    raise typer.Exit(report(out))
+
+
+@app.command()
+def simulate(
+    scene: SceneFile,
+    output: Output,
+    overrides: Overrides = None,
+    cache: Annotated[bool, typer.Option("--cache/--no-cache", help="Reuse a result traced before.")] = True,
+) -> None:
+    """Trace a scene from every view and write its channel impulse responses (NetCDF-4)."""
+    from mvla_sim.scene.world import Scene
+
+    _check_output(output, (".nc",))
+    loaded = Scene.load(scene, overrides or [])
+    from mvla_sim.channel.simulate import simulate as trace
+
+    cir = trace(loaded, cache=cache)
+    cir.save(output)
+    empty = int((cir.row_size == 0).sum())
+    if empty:
+        errors.print(
+            f"mvla: note: {empty} of {cir.n_view} views have no path; they are kept as empty rows", markup=False
+        )
+    near, far = cir.range_m.min(), cir.range_m.max()
+    out.print(f"{output}: {cir.n_view} views, {cir.gain.size} paths, ranges {near:.2f} to {far:.2f} m", markup=False)
+
+
+@app.command()
+def image(
+    cir_file: Annotated[Path, typer.Argument(metavar="CIR.nc", help="A CIR file.")],
+    output: Output,
+    method: Annotated[str | None, typer.Option(help="mvla-gr, mvla-hard or bp.")] = None,
+    snr: Annotated[str | None, typer.Option(help="SNR in dB, or 'none' for no noise.")] = None,
+    interval: Annotated[float | None, typer.Option(help="Use a view every so many degrees.")] = None,
+    offset: Annotated[int | None, typer.Option(help="First view used.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the noise.")] = None,
+    overrides: Overrides = None,
+) -> None:
+    """Reconstruct an image from a CIR file."""
+    from mvla_sim.config.imaging import imaging_settings
+
+    _check_output(output, (".nc",))
+    given = {
+        "method": method,
+        "snr_db": _number(snr, "--snr"),
+        "interval_deg": interval,
+        "offset": offset,
+        "seed": seed,
+    }
+    settings = imaging_settings(overrides or [], **{k: v for k, v in given.items() if v is not None})
+    from mvla_sim.channel.cir import Cir
+    from mvla_sim.imaging.pipeline import reconstruct
+
+    result = reconstruct(Cir.load(cir_file), settings)
+    result.save(output)
+    nx, ny, nz = result.grid.counts
+    out.print(f"{output}: {settings.method}, {result.n_view} views, {nx} × {ny} × {nz} voxels")
+
+
+@app.command()
+def evaluate(
+    image_file: Annotated[Path, typer.Argument(metavar="IMAGE.nc", help="An image file.")],
+    truth: Annotated[str | None, typer.Option(help="contour or filled.")] = None,
+    top_percent: Annotated[float | None, typer.Option(help="p in per cent; by default the optimum.")] = None,
+    min_support: Annotated[float | None, typer.Option(help="T_θ in degrees, with --top-percent.")] = None,
+    json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    overrides: Overrides = None,
+) -> None:
+    """Score an image against its target: Chamfer distance, F1 and more, at given or at optimal thresholds."""
+    from mvla_sim.config.base import apply_overrides, parse
+    from mvla_sim.config.imaging import EvaluationSettings
+
+    if min_support is not None and top_percent is None:
+        raise ConfigError(f"--min-support {min_support:g}: give --top-percent with it")
+    data: dict[str, Any] = {} if truth is None else {"truth": truth}
+    if top_percent is not None:
+        data["threshold"] = {"top_percent": top_percent, "min_support_deg": min_support or 0.0}
+    settings = parse(EvaluationSettings, apply_overrides(data, overrides or []), "evaluation settings")
+    from mvla_sim.evaluation.evaluate import evaluate as score_image
+    from mvla_sim.imaging.image import Image
+
+    row = score_image(Image.load(image_file), settings).as_dict()
+    if json_output:
+        import json
+        import math
+
+        finite = {k: str(v) if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
+        out.print(json.dumps(finite, indent=2), markup=False)
+        return
+    from rich.table import Table
+
+    table = Table("metric", "value", title=str(image_file))
+    for key, value in row.items():
+        table.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
+    out.print(table)
+
+
+@app.command()
+def plot(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="One CIR file, or one or more image files.")],
+    output: Output,
+    overrides: Overrides = None,
+) -> None:
+    """Draw a CIR file's PDP waterfall with its peaks, or images with their optimal reconstruction (PNG, PDF, SVG)."""
+    from mvla_sim.cli.pictures import draw
+
+    _check_output(output, (".png", ".pdf", ".svg"))
+    draw(files, output, overrides or [])
+    out.print(str(output), markup=False)
+
+
+@app.command(name="run")
+def run_experiment(
+    experiment: Annotated[Path, typer.Argument(help="An experiment file (TOML), as in experiments/.")],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder; default results/NAME.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the cases and stop.")] = False,
+    overrides: Overrides = None,
+) -> None:
+    """Run every case of an experiment, write its table and pictures."""
+    from mvla_sim.config.experiment import load_experiment
+    from mvla_sim.sweep.plan import expand
+
+    settings = load_experiment(experiment, overrides or [])
+    cases = expand(settings)
+    if dry_run:
+        for case in cases:
+            out.print(f"{case.number:5d}  " + "  ".join(f"{k}={v}" for k, v in case.values.items()), markup=False)
+        out.print(f"{len(cases)} cases")
+        return
+    from mvla_sim.cli.experiment import execute
+
+    execute(settings, cases, output or Path("results") / settings.name, out)
+
+
+@scene_app.command(name="show")
+def scene_show(scene: SceneFile, output: Output, overrides: Overrides = None) -> None:
+    """Draw a scene's outline, trajectory and ground truth (PNG, PDF, SVG)."""
+    _check_output(output, (".png", ".pdf", ".svg"))
+    from mvla_sim.cli.pictures import draw_scene
+
+    draw_scene(scene, output, overrides or [])
+    out.print(str(output), markup=False)
+
+
+@scene_app.command(name="export")
+def scene_export(scene: SceneFile, output: Output, overrides: Overrides = None) -> None:
+    """Write a scene as Mitsuba XML with PLY meshes, for ``sionna.rt.load_scene``."""
+    _check_output(output, (".xml",))
+    from mvla_sim.scene.export import export_mitsuba
+    from mvla_sim.scene.world import Scene
+
+    out.print(str(export_mitsuba(Scene.load(scene, overrides or []), output)), markup=False)
+
+
+def _check_output(path: Path, suffixes: tuple[str, ...]) -> None:
+    """Refuse an output that cannot be written, before anything is computed."""
+    from mvla_sim.files import check_writable
+
+    if path.suffix.lower() not in suffixes:
+        raise ConfigError(f"-o {path}: the name must end in {' or '.join(suffixes)}")
+    check_writable(path)
+
+
+def _number(text: str | None, option: str) -> float | str | None:
+    """Return a number, 'none', or nothing."""
+    if text is None or text.lower() == "none":
+        return None if text is None else "none"
+    try:
+        return float(text)
+    except ValueError:
+        raise ConfigError(f"{option} {text}: must be a number or 'none'") from None

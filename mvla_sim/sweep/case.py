@@ -1,0 +1,86 @@
+"""One case of a sweep: its complete settings, what identifies it, and the columns it has in a table."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from mvla_sim.config.experiment import AxisValue
+from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings
+from mvla_sim.config.scene import SceneSettings
+
+__all__ = ["ROW_SCHEMA", "Case", "case_key", "flatten", "setting_columns"]
+
+ROW_SCHEMA: Final = 1
+"""Version of what a stored row holds and of how its numbers are made; rows of another version are not used."""
+
+LONGEST_LIST: Final = 3
+"""Longer lists (vertices, positions) are no columns."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One point of a sweep.
+
+    Attributes
+    ----------
+    number
+        Place in the plan, from 0.
+    scene, imaging, evaluation
+        Complete, validated settings.
+    channel
+        Name of the scene's CIR in the cache; cases of one channel share it.
+    key
+        What identifies the case wherever and whenever it is planned; see :func:`case_key`.
+    values
+        Scene name and the axis values of this case.
+    """
+
+    number: int
+    scene: SceneSettings
+    imaging: ImagingSettings
+    evaluation: EvaluationSettings
+    channel: str
+    key: str
+    values: Mapping[str, AxisValue] = field(default_factory=dict)
+
+
+def case_key(channel: str, imaging: ImagingSettings, evaluation: EvaluationSettings) -> str:
+    """SHA-256, in hexadecimal, over everything that decides a case's numbers, as JSON in one form.
+
+    ``channel`` covers the scene and the versions of the packages that trace it.
+    """
+    data = {
+        "schema": ROW_SCHEMA,
+        "channel": channel,
+        "imaging": imaging.model_dump(mode="json"),
+        "evaluation": evaluation.model_dump(mode="json"),
+    }
+    return hashlib.sha256(json.dumps(data, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def setting_columns(case: Case) -> dict[str, Any]:
+    """Scene name, axis values, and every setting under its dotted key; nothing where a setting is absent."""
+    blocks = {
+        "imaging": case.imaging.model_dump(mode="json"),
+        "evaluation": case.evaluation.model_dump(mode="json"),
+        "scene": case.scene.model_dump(mode="json", exclude={"name", "description"}),
+    }
+    return dict(case.values) | dict(flatten(blocks))
+
+
+def flatten(data: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Single values of nested data by dotted key; a file by its name alone, long lists left out."""
+    if isinstance(data, dict):
+        for key, value in data.items():
+            yield from flatten(value, f"{path}.{key}" if path else str(key))
+    elif isinstance(data, list):
+        if len(data) <= LONGEST_LIST or any(isinstance(item, dict) for item in data):
+            for index, item in enumerate(data):
+                yield from flatten(item, f"{path}.{index}")
+    else:
+        yield path, Path(data).name if path.endswith(".file") and isinstance(data, str) else data
