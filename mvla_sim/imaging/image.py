@@ -13,7 +13,7 @@ import shapely
 import xarray as xr
 from numpy.typing import NDArray
 
-from mvla_sim.errors import DataError
+from mvla_sim.errors import DataError, MvlaError
 from mvla_sim.netcdf import open_netcdf, write_netcdf
 from mvla_sim.scene.grid import VoxelGrid
 
@@ -129,5 +129,5 @@ class Image:
             )
         except KeyError as error:
             raise DataError(f"{path}: attribute {error} is missing from this image file") from error
-        except (ValueError, TypeError, IndexError, shapely.GEOSException) as error:
+        except (ValueError, TypeError, IndexError, MvlaError, shapely.GEOSException) as error:
             raise DataError(f"{path}: not a readable image file ({error})") from error

@@ -131,7 +131,9 @@ def project(grid: VoxelGrid, views: Views, profiles: RangeProfiles, *, block: in
     check_memory(grid)
     from mvla_sim.imaging import kernels  # noqa: PLC0415 - compiles: only where something is projected
 
-    dr, t = kernels.dr, kernels.BACKEND.arrays  # Dr.Jit only after the backend has chosen its library
+    t = kernels.BACKEND.arrays
+    import drjit as dr  # noqa: PLC0415 - only after the backend has chosen its library
+
     order, angles = _along(views)
     gaps = np.diff(angles, prepend=angles[:1])
     tables = kernels.Tables(

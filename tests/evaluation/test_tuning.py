@@ -50,14 +50,17 @@ def decibels(fraction, grid):
 
 @st.composite
 def problems(draw, flat=False):
-    """Small problems of every kind: ties, constant images, few and many levels, truth where the score is lowest."""
+    """Small problems of every kind: ties, constant images, few and many levels, truth where the score is lowest.
+
+    Kinds come from the seeded generator, for Hypothesis would draw the first of a list far more often than the others.
+    """
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    layers = 1 if flat else draw(st.sampled_from([1, 1, 3]))
+    layers = 1 if flat else int(rng.choice([1, 1, 3]))
     grid = VoxelGrid((0, 0, 0), (draw(st.integers(1, 16)), draw(st.integers(1, 16)), layers), 0.05)
-    truth = rng.random(grid.shape) < draw(st.sampled_from([0.0, 0.05, 0.4]))
+    truth = rng.random(grid.shape) < rng.choice([0.0, 0.05, 0.4])
     truth.flat[rng.integers(grid.size)] = True
     score = rng.random(grid.shape)
-    kind = draw(st.sampled_from(["any", "ties", "constant", "signs", "best far from truth", "best at truth"]))
+    kind = rng.choice(["any", "ties", "constant", "signs", "best far from truth", "best at truth"])
     if kind == "ties":
         score = np.round(3 * score)
     elif kind == "constant":
@@ -68,14 +71,13 @@ def problems(draw, flat=False):
         x, y, z = grid.centers(np.flatnonzero(truth)[:1])[0]
         near = -np.linalg.norm(grid.centers() - [x, y, z], axis=1).reshape(grid.shape)
         score = near + 0.1 * score if kind == "best at truth" else -near + 0.1 * score
-    theta = draw(st.sampled_from(["none", "zero", "few", "many", "one level above zero"]))
     supports = {
         "none": None,
         "zero": np.zeros(grid.shape),
         "few": 5 * rng.integers(0, 5, grid.shape),
         "many": 100 * rng.random(grid.shape),
         "one level above zero": np.full(grid.shape, 30.0),
-    }[theta]
+    }[rng.choice(["none", "zero", "few", "few", "many", "one level above zero"])]
     return grid, truth, score.astype(np.float32), None if supports is None else supports.astype(np.float32)
 
 

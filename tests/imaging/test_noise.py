@@ -1,0 +1,109 @@
+"""Noise: the SNR that is asked for, in every convention, and the same draw whatever comes later."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from cases import random_channel, ring
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mvla_sim.config.imaging import NoiseSettings, PdpSettings
+from mvla_sim.errors import ConfigError
+from mvla_sim.imaging.noise import add_noise, stream
+from mvla_sim.imaging.pdp import compute_pdp
+
+VIEWS = 40
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """Profiles of 40 views whose power grows from view to view."""
+    cir = random_channel(1, ring(VIEWS))
+    gain = cir.gain * np.repeat(np.linspace(1, 5, VIEWS), cir.row_size).astype(np.float32)
+    return compute_pdp(dataclasses.replace(cir, gain=gain), PdpSettings(), (6.0, 14.0))
+
+
+def mean_square(values):
+    return (np.abs(values) ** 2).mean(axis=1)
+
+
+@pytest.mark.parametrize("snr_db", [-10.0, 0.0, 20.0])
+@pytest.mark.parametrize("reference", ["view", "all"])
+@pytest.mark.parametrize("kind", ["gaussian", "exponential", "complex"])
+def test_realised_snr_is_the_one_asked_for(clean, kind, reference, snr_db):
+    """Signal and noise power per view: of the PDP, or of the complex amplitude for complex noise."""
+    noisy = add_noise(clean, NoiseSettings(snr_db=snr_db, kind=kind, reference=reference))
+    if kind == "complex":
+        signal, noise = mean_square(clean.amplitude), mean_square(noisy.amplitude - clean.amplitude)
+        np.testing.assert_array_equal(noisy.power, np.abs(noisy.amplitude) ** 2)
+        kurtosis = 2.0  # E|n|⁴/(E|n|²)² of circular normal noise
+    else:
+        signal, noise = mean_square(clean.power), mean_square(noisy.power - clean.power)
+        assert noisy.amplitude is None
+        kurtosis = {"gaussian": 3.0, "exponential": 6.0}[kind]
+    signal = signal if reference == "view" else np.full(VIEWS, signal.mean())
+    ratio = signal / noise / 10 ** (snr_db / 10)
+    samples = clean.power.shape[1]
+    spread = np.sqrt((kurtosis - 1) / samples)  # of a mean square of so many samples
+    assert np.abs(ratio - 1).max() < 5 * spread
+    assert abs(ratio.mean() - 1) < 5 * spread / np.sqrt(VIEWS) + spread**2  # 1/noise is biased by its variance
+
+
+def test_gaussian_noise_has_zero_mean_and_exponential_noise_none_below_zero(clean):
+    samples = clean.power.size
+    settings_ = {"snr_db": 0.0, "reference": "all"}
+    normal = add_noise(clean, NoiseSettings(kind="gaussian", **settings_)).power - clean.power
+    assert abs(normal.mean()) < 5 * normal.std() / np.sqrt(samples)
+    assert normal.min() < 0
+    power = add_noise(clean, NoiseSettings(kind="exponential", **settings_)).power - clean.power
+    assert power.min() >= -1e-12  # rounding of the difference
+    assert power.std() == pytest.approx(power.mean(), rel=5 * np.sqrt(2 / samples) + 0.01)  # an exponential's
+
+
+@pytest.mark.parametrize("kind", ["gaussian", "exponential", "complex"])
+def test_noise_is_reproducible_and_follows_the_seed(clean, kind):
+    one, again, other = (add_noise(clean, NoiseSettings(kind=kind, seed=s)).power for s in (7, 7, 8))
+    np.testing.assert_array_equal(one, again)
+    assert (one != other).mean() > 0.99
+
+
+def test_views_draw_from_streams_of_their_own(clean):
+    noise = add_noise(clean, NoiseSettings(snr_db=0.0)).power - clean.power
+    correlation = np.corrcoef(noise)[np.triu_indices(VIEWS, 1)]
+    assert np.abs(correlation).max() < 6 / np.sqrt(noise.shape[1])  # 780 pairs of independent rows
+
+
+@pytest.mark.parametrize("kind", ["gaussian", "exponential", "complex"])
+def test_first_views_draw_the_same_however_many_follow(clean, kind):
+    """Streams are named by a view's index; with the SNR by view, a shorter file has the same noise."""
+    short = add_noise(clean.select(np.arange(10)), NoiseSettings(kind=kind)).power
+    np.testing.assert_array_equal(short, add_noise(clean, NoiseSettings(kind=kind)).power[:10])
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**40), st.lists(st.integers(0, 1000), min_size=1, max_size=3))
+def test_streams_are_named(seed, key):
+    first = stream(seed, *key).standard_normal(4)
+    np.testing.assert_array_equal(first, stream(seed, *key).standard_normal(4))
+    assert not np.array_equal(first, stream(seed, *key, 0).standard_normal(4))
+    assert not np.array_equal(first, stream(seed + 1, *key).standard_normal(4))
+
+
+def test_without_snr_nothing_changes(clean):
+    assert add_noise(clean, NoiseSettings(snr_db=None)) is clean
+
+
+def test_view_without_signal_has_no_noise_by_view_and_the_common_noise_by_all(clean):
+    power = clean.power.copy()
+    power[3] = 0
+    silent = dataclasses.replace(clean, power=power)
+    assert (add_noise(silent, NoiseSettings(reference="view")).power[3] == 0).all()
+    assert (add_noise(silent, NoiseSettings(reference="all")).power[3] != 0).all()
+
+
+def test_complex_noise_needs_amplitudes(clean):
+    with pytest.raises(ConfigError, match=r"noise\.kind = 'complex'"):
+        add_noise(dataclasses.replace(clean, amplitude=None), NoiseSettings(kind="complex"))
