@@ -14,7 +14,7 @@ import mvla_sim
 
 ROOT = Path(mvla_sim.__file__).parent
 FLOW = ("scene", "channel", "imaging", "evaluation", "sweep", "report", "cli")
-BASE = ("config", "constants", "errors", "files", "netcdf", "runtime")
+BASE = ("config", "constants", "errors", "files", "netcdf", "runtime", "streams")
 MODULES = sorted(ROOT.rglob("*.py"))
 NAMES = [str(path.relative_to(ROOT)) for path in MODULES]
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mvla_sim.constants import delay_to_range
 from mvla_sim.errors import DataError
-from mvla_sim.netcdf import open_netcdf, write_netcdf
+from mvla_sim.netcdf import open_netcdf, table_of, write_netcdf
 from mvla_sim.scene.trajectory import Views
 
 __all__ = ["INTERACTIONS", "SCHEMA", "SCHEMA_VERSION", "Cir"]
@@ -217,7 +217,7 @@ class Cir:
         OutputError
             The file cannot be written.
         """
-        packed = ("gain_real", "gain_imag", "delay", "interaction", "first_point")
+        packed = ("gain_real", "gain_imag", "delay", "interaction", "first_point", "row_size", "position", "angle")
         write_netcdf(self.to_dataset(), path, packed)
 
     @classmethod
@@ -235,22 +235,36 @@ class Cir:
             return cls(
                 gain=(dataset["gain_real"].values + 1j * dataset["gain_imag"].values).astype(np.complex64),
                 delay_s=dataset["delay"].values.astype(np.float64),
-                interaction=dataset["interaction"].values.astype(np.uint8),
+                interaction=_flags(dataset["interaction"].values),
                 first_point_m=dataset["first_point"].values.astype(np.float32).reshape(-1, 3),
                 row_size=dataset["row_size"].values.astype(np.int64),
                 views=Views(
                     dataset["position"].values,
                     dataset["angle"].values,
-                    (float(dataset["center"][0]), float(dataset["center"][1])),
+                    _pair(dataset["center"].values),
                 ),
                 carrier_hz=float(dataset["carrier_frequency"]),
                 bandwidth_hz=float(dataset["bandwidth"]),
                 extent_m=float(dataset["target_extent"]),
                 outline=shapely.from_wkt(wkt) if wkt else None,
-                config=json.loads(dataset.attrs.get("config", "{}")),
-                provenance=json.loads(dataset.attrs.get("provenance", "{}")),
+                config=table_of(dataset, "config"),
+                provenance=table_of(dataset, "provenance"),
             )
         except (ValueError, TypeError, shapely.GEOSException) as error:
             raise DataError(f"{path}: not a readable CIR file ({error})") from error
         except DataError as error:
             raise DataError(f"{path}: {error}") from error
+
+
+def _flags(values: NDArray[Any]) -> NDArray[np.uint8]:
+    """Interaction bits; anything else is a damaged file."""
+    if not np.isin(values, np.arange(sum(INTERACTIONS.values()) + 1)).all():
+        raise ValueError(f"interaction holds values other than sums of {list(INTERACTIONS.values())}")
+    return values.astype(np.uint8)
+
+
+def _pair(values: NDArray[Any]) -> tuple[float, float]:
+    """Two coordinates."""
+    if values.shape != (2,):
+        raise ValueError(f"center has shape {values.shape}, must be (2,)")
+    return float(values[0]), float(values[1])

@@ -2,7 +2,7 @@
 
 One co-located pair of transmitter and receiver is moved from view to view; scene and solver are built once.
 
-Three things make this fast without changing the physics:
+What makes this fast, and what makes it converge:
 
 * **Passes.** With specular reflection on, only a share S² of the hits becomes a diffuse path, so a pass of diffuse
   reflection alone gathers 1/S² times the diffuse paths of a joint one, and specular reflection with diffraction needs
@@ -13,6 +13,9 @@ Three things make this fast without changing the physics:
   unit square to the sphere preserves area, so every ray tube keeps the same solid angle, 4π·f/n for a rectangle that
   is the fraction f of the square. Sionna scales a diffuse path by the square root of the tube it assumes, 4π/n, so
   those paths, and only those, are multiplied by √f.
+* **Speckle.** Sionna gives diffuse paths no phase of their own, so on a smooth face those near the specular point would
+  add up coherently, and the more so the more rays there are. Diffuse scattering is incoherent: each diffuse path gets a
+  phase drawn from a stream named by seed and sensor position, and the PDP converges as rays are added.
 * **Opaque bounds.** The rectangle enters the kernels as data, not as literals, so that they are compiled once.
 """
 
@@ -34,6 +37,7 @@ from mvla_sim.config.scene import CustomMaterial, RayTracingSettings
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.runtime.backend import activate_sionna
 from mvla_sim.scene.world import Scene, SceneObject
+from mvla_sim.streams import Stream, stream
 
 __all__ = ["LaunchWindow", "ViewPaths", "ViewTracer"]
 
@@ -111,8 +115,8 @@ def plan_passes(settings: RayTracingSettings) -> list[_Pass]:
         passes.append(
             _Pass("specular and diffraction", settings.specular_rays, settings.specular, False, settings.diffraction)
         )
-    if settings.max_depth > 1 and len(passes) == 2:
-        passes.append(_Pass("mixed", settings.diffuse_rays, settings.specular, True, settings.diffraction, True))
+    if settings.max_depth > 1 and settings.diffuse and settings.specular:
+        passes.append(_Pass("mixed", settings.diffuse_rays, settings.specular, True, False, True))
     return passes
 
 
@@ -159,12 +163,14 @@ class ViewTracer:
             if self._settings.launch == "sector"
             else LaunchWindow.sphere()
         )
-        parts = [self._run(one, window, label) for one in self._passes]
+        key = np.rint(np.asarray(position_m) * 1e6).astype(np.int64)
+        random = stream(self._settings.seed, Stream.SPECKLE, *(int(k) for k in key))
+        parts = [self._run(one, window, random, label) for one in self._passes]
         return ViewPaths(
             *(np.concatenate([getattr(part, name) for part in parts]) for name in ViewPaths.__dataclass_fields__)
         )
 
-    def _run(self, one: _Pass, window: LaunchWindow, label: str) -> ViewPaths:
+    def _run(self, one: _Pass, window: LaunchWindow, random: np.random.Generator, label: str) -> ViewPaths:
         depth = self._settings.max_depth
         cap = min(self._settings.max_paths, one.rays * depth + 1)  # a ray gives at most one path per interaction
         with _launch_into(window):
@@ -185,10 +191,10 @@ class ViewTracer:
                 f"{label}: the {one.name} pass met the cap of {cap} paths and would lose some; "
                 f"raise ray_tracing.max_paths (now {self._settings.max_paths}) or lower the ray counts"
             )
-        return self._gather(paths, one, window)
+        return self._gather(paths, one, window, random)
 
-    def _gather(self, paths: Any, one: _Pass, window: LaunchWindow) -> ViewPaths:
-        """Bring a solver result to NumPy: valid paths only, absolute delays, carrier phase applied in float64."""
+    def _gather(self, paths: Any, one: _Pass, window: LaunchWindow, random: np.random.Generator) -> ViewPaths:
+        """Bring a solver result to NumPy: valid paths only, absolute delays, phases applied in float64."""
         delay = paths.tau.numpy().reshape(-1).astype(np.float64)
         if delay.size == 0:
             return ViewPaths(
@@ -202,13 +208,14 @@ class ViewTracer:
         keep = delay >= 0  # Sionna marks invalid paths with -1
         if one.mixed_only:
             keep &= diffuse & (interaction != INTERACTIONS["diffuse"])
-        amplitude *= np.where(diffuse, np.sqrt(window.fraction), 1.0)
-        gain = (amplitude * np.exp(-2j * np.pi * self._carrier_hz * delay)).astype(np.complex64)
-        first = points[0].astype(np.float32)
         # The solver's set of paths is deterministic; their order is that in which its threads finish.
-        order = np.lexsort((gain.imag, gain.real, *first.T, interaction, delay))
+        order = np.lexsort((amplitude.imag, amplitude.real, *points[0].T, interaction, delay))
         order = order[keep[order]]
-        return ViewPaths(gain[order], delay[order], interaction[order], first[order])
+        amplitude, delay, interaction, diffuse = (a[order] for a in (amplitude, delay, interaction, diffuse))
+        gain = amplitude * np.exp(-2j * np.pi * self._carrier_hz * delay)
+        speckle = np.exp(2j * np.pi * random.random(delay.size))
+        gain *= np.where(diffuse, np.sqrt(window.fraction) * speckle, 1.0)
+        return ViewPaths(gain.astype(np.complex64), delay, interaction, points[0][order].astype(np.float32))
 
     def _build(self, scene: Scene) -> Any:
         """Make Sionna's scene: objects with materials, one transmitter and one receiver."""

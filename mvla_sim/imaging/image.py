@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError, MvlaError
-from mvla_sim.netcdf import open_netcdf, write_netcdf
+from mvla_sim.netcdf import open_netcdf, table_of, write_netcdf
 from mvla_sim.scene.grid import VoxelGrid
 
 __all__ = ["SCHEMA", "SCHEMA_VERSION", "Image"]
@@ -124,8 +124,8 @@ class Image:
                 n_view=int(dataset.attrs["views"]),
                 occupied=dataset["occupied"].values.astype(bool) if "occupied" in dataset else None,
                 outline=shapely.from_wkt(wkt) if wkt else None,
-                config=json.loads(dataset.attrs["config"]),
-                provenance=json.loads(dataset.attrs["provenance"]),
+                config=table_of(dataset, "config"),
+                provenance=table_of(dataset, "provenance"),
             )
         except KeyError as error:
             raise DataError(f"{path}: attribute {error} is missing from this image file") from error

@@ -57,9 +57,10 @@ def project_block(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0917
     nx, ny, x0, y0, z0, spacing = grid
     n_view, n_range, range0, inverse_step = axis
     lane = dr.arange(t.UInt32, lanes)
+    lane_count = dr.opaque(t.UInt32, lanes)  # not a literal: one program for every size
     x, y, z = [], [], []
     for u in range(per_lane):
-        index = lane + start + t.UInt32(u * lanes)
+        index = lane + start + lane_count * u
         row = index // nx
         x.append(dr.fma(t.Float32(index % nx), spacing, x0))
         y.append(dr.fma(t.Float32(row % ny), spacing, y0))

@@ -14,6 +14,8 @@ __all__ = ["hard_profiles", "kernel_scales", "likelihood_profiles"]
 
 _SAMPLES_PER_SIGMA = 16
 """Nodes per σ_R: linear interpolation then errs by at most h²/(8σ²) = 4.9·10⁻⁴ of a kernel's peak."""
+_NEGLIGIBLE_SIGMAS = 6.5
+"""Beyond it the kernel is below 10⁻⁹, a hundredth of float32's resolution of a score, and is not evaluated."""
 _FAR_M = 1e6
 
 
@@ -56,13 +58,22 @@ def likelihood_profiles(peaks: Peaks, sigma_m: float, radius_m: float, span_m: t
     """
     step = sigma_m / _SAMPLES_PER_SIGMA
     start, count = _axis(span_m, step)
-    peak, place, distance = _near_nodes(peaks, start, step, count, radius_m + step)
-    values = np.bincount(place, peaks.weight[peak] * np.exp(-(distance**2) / (2 * sigma_m**2)), peaks.n_view * count)
+    reach = min(radius_m + step, _NEGLIGIBLE_SIGMAS * sigma_m)
+    half = int(np.ceil(reach / step)) + 1
+    around = np.arange(-half, half + 1)
+    middle = np.rint((peaks.range_m - start) / step).astype(np.intp)
+    distance = (start + step * middle - peaks.range_m)[:, None] + step * around
+    kernel = np.exp(distance**2 / (-2 * sigma_m**2))
+    kernel *= peaks.weight[:, None] * (np.abs(distance) <= reach)
+    margin = 2 * half + 1  # on both sides, so that a kernel may reach over an end; farther ones are moved onto it
+    width = count + 2 * margin
+    place = (peaks.view * width + margin + np.clip(middle, -half - 1, count + half))[:, None] + around
+    values = np.bincount(place.ravel(), kernel.ravel(), peaks.n_view * width).reshape(peaks.n_view, width)
     return RangeProfiles(
-        values.astype(np.float32).reshape(peaks.n_view, count),
+        np.ascontiguousarray(values[:, margin : margin + count], np.float32),
         start,
         step,
-        _nearest(place, distance, peaks.n_view, count),
+        _nearest(peaks, start, step, count),
         radius_m,
     )
 
@@ -71,9 +82,8 @@ def hard_profiles(peaks: Peaks, tolerance_m: float, span_m: tuple[float, float])
     """Profiles of the hard vote: 1 where some |R_mi − r| ≤ ε_R (``eq:event_hard``, ``eq:hard_posterior``)."""
     step = tolerance_m / _SAMPLES_PER_SIGMA
     start, count = _axis(span_m, step)
-    _, place, distance = _near_nodes(peaks, start, step, count, tolerance_m + step)
     values = np.ones((peaks.n_view, count), np.float32)
-    return RangeProfiles(values, start, step, _nearest(place, distance, peaks.n_view, count), tolerance_m)
+    return RangeProfiles(values, start, step, _nearest(peaks, start, step, count), tolerance_m)
 
 
 def _axis(span_m: tuple[float, float], step: float) -> tuple[float, int]:
@@ -82,21 +92,14 @@ def _axis(span_m: tuple[float, float], step: float) -> tuple[float, int]:
     return first * step, int(np.ceil(span_m[1] / step)) - first + 2
 
 
-def _near_nodes(
-    peaks: Peaks, start: float, step: float, count: int, reach: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """Every pair of a peak and an axis node within ``reach``: peak, flat node, signed distance in metres."""
-    half = int(np.ceil(reach / step)) + 1
-    node = np.rint((peaks.range_m - start) / step).astype(np.intp)[:, None] + np.arange(-half, half + 1)
-    distance = start + step * node - peaks.range_m[:, None]
-    near = (np.abs(distance) <= reach) & (node >= 0) & (node < count)
-    peak = np.nonzero(near)[0]
-    place = (peaks.view[:, None] * count + node)[near]
-    return peak, place, distance[near]
-
-
-def _nearest(place: NDArray[np.intp], distance: NDArray[np.float64], n_view: int, count: int) -> NDArray[np.float32]:
-    """Distance from each node to the nearest peak, ``[n_view, count]``; a large number out of every peak's reach."""
-    nearest = np.full(n_view * count, _FAR_M, np.float32)
-    np.minimum.at(nearest, place, np.abs(distance).astype(np.float32))
-    return nearest.reshape(n_view, count)
+def _nearest(peaks: Peaks, start: float, step: float, count: int) -> NDArray[np.float32]:
+    """Distance from each node to the nearest peak of the view, ``[n_view, count]``; far where it has none."""
+    nearest = np.full((peaks.n_view, count), _FAR_M, np.float32)
+    nodes = start + step * np.arange(count)
+    stop = np.cumsum(peaks.row_size)
+    for view in np.flatnonzero(peaks.row_size):
+        ranges = peaks.range_m[stop[view] - peaks.row_size[view] : stop[view]]
+        between = np.ceil(((ranges[:-1] + ranges[1:]) / 2 - start) / step)
+        edges = np.concatenate([[0], np.clip(between, 0, count), [count]]).astype(np.intp)
+        nearest[view] = np.abs(nodes - np.repeat(ranges, np.diff(edges)))
+    return nearest

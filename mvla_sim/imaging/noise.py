@@ -10,15 +10,9 @@ from numpy.typing import NDArray
 from mvla_sim.config.imaging import NoiseSettings
 from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.pdp import Pdp
+from mvla_sim.streams import Stream, stream
 
-__all__ = ["add_noise", "stream"]
-
-_NOISE_STREAM = 1
-
-
-def stream(seed: int, *key: int) -> np.random.Generator:
-    """Independent random stream named by ``key`` under one root seed: the same draw in any order of execution."""
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+__all__ = ["add_noise"]
 
 
 def add_noise(pdp: Pdp, settings: NoiseSettings) -> Pdp:
@@ -45,7 +39,7 @@ def add_noise(pdp: Pdp, settings: NoiseSettings) -> Pdp:
     if settings.snr_db is None:
         return pdp
     ratio = 10 ** (settings.snr_db / 10)
-    generators = [stream(settings.seed, _NOISE_STREAM, view) for view in range(pdp.power.shape[0])]
+    generators = [stream(settings.seed, Stream.NOISE, view) for view in range(pdp.power.shape[0])]
     count = pdp.power.shape[1]
     if settings.kind == "complex":
         if pdp.amplitude is None:

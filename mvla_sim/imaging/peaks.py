@@ -43,6 +43,11 @@ class Peaks:
         if not (np.isfinite(self.range_m).all() and np.isfinite(self.power).all() and (self.power > 0).all()):
             raise DataError("peaks: ranges must be finite and powers above 0")
 
+    @classmethod
+    def none(cls, n_view: int) -> Peaks:
+        """No peak in any of ``n_view`` views."""
+        return cls(np.zeros(0), np.zeros(0), np.zeros(n_view, np.int64))
+
     @property
     def n_view(self) -> int:
         """Number of views M."""

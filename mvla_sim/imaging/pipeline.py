@@ -34,7 +34,7 @@ class FrontEnd:
 
 
 def front_end(cir: Cir, settings: ImagingSettings, grid: VoxelGrid) -> FrontEnd:
-    """Compute PDPs, add noise, extract peaks, for all views of the file.
+    """Compute PDPs, add noise and, unless the method is BP, extract peaks, for all views of the file.
 
     Raises
     ------
@@ -44,7 +44,8 @@ def front_end(cir: Cir, settings: ImagingSettings, grid: VoxelGrid) -> FrontEnd:
     gate = gate_for(grid, cir.views.positions_m, settings.pdp)
     clean = compute_pdp(cir, settings.pdp, gate)
     noisy = add_noise(clean, settings.noise)
-    return FrontEnd(noisy, extract_peaks(noisy, settings.peaks))
+    peaks = Peaks.none(cir.n_view) if settings.method == "bp" else extract_peaks(noisy, settings.peaks)
+    return FrontEnd(noisy, peaks)
 
 
 def select_views(views: Views, settings: ViewSettings) -> NDArray[np.intp]:
@@ -53,8 +54,8 @@ def select_views(views: Views, settings: ViewSettings) -> NDArray[np.intp]:
     Raises
     ------
     ConfigError
-        The views are not evenly spaced, the interval is no multiple of their spacing or does not divide them, or the
-        offset is not below the number of patterns.
+        The views are not evenly spaced, the interval is no multiple of their spacing or, on a closed trajectory, does
+        not divide them, or the offset is not below the number of patterns.
     """
     if settings.interval_deg is None:
         if settings.offset:
@@ -66,8 +67,9 @@ def select_views(views: Views, settings: ViewSettings) -> NDArray[np.intp]:
     if spacing == 0 or np.abs(steps - steps[0]).max() > 1e-3 * spacing:
         raise ConfigError(f"views.interval_deg = {settings.interval_deg:g}: the file's views are not evenly spaced")
     stride = round(settings.interval_deg / spacing)
-    if stride < 1 or abs(stride * spacing - settings.interval_deg) > 1e-3 * spacing or len(views) % stride:
-        allowed = [f"{k * spacing:.4g}" for k in range(1, len(views) + 1) if len(views) % k == 0]
+    strides = [k for k in range(1, len(views) + 1) if not (views.closed and len(views) % k)]
+    if stride not in strides or abs(stride * spacing - settings.interval_deg) > 1e-3 * spacing:
+        allowed = [f"{k * spacing:.4g}" for k in strides]
         raise ConfigError(
             f"views.interval_deg = {settings.interval_deg:g} does not divide the file's {len(views)} views at "
             f"{spacing:.4g}°; allowed: {', '.join(allowed[:12])}{', …' if len(allowed) > 12 else ''}"

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from mvla_sim.config.imaging import NoiseSettings, PdpSettings
 from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.noise import add_noise, stream
+from mvla_sim.imaging.noise import add_noise
 from mvla_sim.imaging.pdp import compute_pdp
+from mvla_sim.streams import stream
 
 VIEWS = 40
 
