@@ -272,7 +272,7 @@ def test_launch_window_holds_the_hull(vertices, sensor, seed):
 
 def test_diffuse_power_near_the_specular_point_does_not_grow_with_the_rays():
     """Diffuse paths are incoherent. Without phases of their own those around the specular point add up in amplitude,
-    and 16 times the rays gave 2.6 times the power in the first cells; speckle over 40 positions averages to within
+    and 16 times the rays gave twice the power in the first cells; speckle over 40 positions averages to within
     1/√40 = 0.16, the difference of two such means to within 0.22, hence a third as the bound."""
     wall = [{"shape": "rectangle", "length_m": 1.0, "width_m": 8.0, "position_m": [-0.5, 0.0, 0.0]}]
     positions = [(6.0, 0.01 * k, 0.0) for k in range(40)]
