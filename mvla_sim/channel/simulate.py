@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import shutil
 from dataclasses import replace
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mvla_sim.channel import raytrace
 from mvla_sim.channel.cir import SCHEMA_VERSION, Cir
 from mvla_sim.channel.raytrace import ViewPaths, ViewTracer
 from mvla_sim.errors import DataError, MvlaError
@@ -32,13 +34,14 @@ class SimulationInterruptedError(MvlaError):
 def cache_file(scene: Scene) -> Path:
     """Name of the cached CIR of a scene.
 
-    The key covers the scene's geometry and settings, its views, radio and solver settings, the CIR schema and the
-    versions of the packages that trace.
+    The key covers the scene's geometry and settings, its views, radio and solver settings, the CIR schema, the versions
+    of the packages that trace, and the code of the tracer itself.
     """
     key = {
         "scene": scene.fingerprint(),
         "schema": SCHEMA_VERSION,
-        "versions": {name: version(name) for name in ("sionna-rt", "mitsuba", "drjit", "mvla-sim")},
+        "versions": {name: version(name) for name in ("sionna-rt", "mitsuba", "drjit")},
+        "tracer": hashlib.sha256(inspect.getsource(raytrace).encode()).hexdigest(),
     }
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
     return cache_folder() / "cir" / f"{digest[:32]}.nc"

@@ -191,23 +191,31 @@ def plot(
 def run_experiment(
     experiment: Annotated[Path, typer.Argument(help="An experiment file (TOML), as in experiments/.")],
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder; default results/NAME.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the cases and stop.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Show what would run, and about how long, and stop.")
+    ] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes; default one a core.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Run even very many cases.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Discard the cases stored in the folder.")] = False,
     overrides: Overrides = None,
 ) -> None:
-    """Run every case of an experiment, write its table and pictures."""
+    """Run the cases of an experiment that are not stored yet; write its table and pictures.
+
+    Every finished case is stored at once, so a run can be stopped at any time and goes on when it is started again.
+    Tables are CSV, and Parquet too where pyarrow is installed (pip install mvla-sim[parquet]).
+    """
+    from mvla_sim.cli.experiment import execute, show_plan
     from mvla_sim.config.experiment import load_experiment
-    from mvla_sim.sweep.plan import expand
+    from mvla_sim.runtime.machine import core_count
+    from mvla_sim.sweep.plan import CASE_LIMIT, expand
 
     settings = load_experiment(experiment, overrides or [])
-    cases = expand(settings)
+    folder = output or Path("results") / settings.name
+    plan = expand(settings, folder, None if yes else CASE_LIMIT)
     if dry_run:
-        for case in cases:
-            out.print(f"{case.number:5d}  " + "  ".join(f"{k}={v}" for k, v in case.values.items()), markup=False)
-        out.print(f"{len(cases)} cases")
+        show_plan(plan, folder, workers or core_count(), out)
         return
-    from mvla_sim.cli.experiment import execute
-
-    execute(settings, cases, output or Path("results") / settings.name, out)
+    raise typer.Exit(execute(plan, folder, out, errors, workers=workers, fresh=fresh))
 
 
 @scene_app.command(name="show")

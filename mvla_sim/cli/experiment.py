@@ -2,59 +2,93 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from mvla_sim.channel.cir import Cir
+from mvla_sim.channel.simulate import simulate
 from mvla_sim.cli.pictures import draw_waterfall, truth_of
-from mvla_sim.config.experiment import ExperimentSettings
-from mvla_sim.errors import OutputError
-from mvla_sim.files import atomic_output
 from mvla_sim.report.figures import plot_comparison, plot_curves, plot_image, plot_scene
 from mvla_sim.report.style import save_figure
-from mvla_sim.runtime.provenance import provenance
-from mvla_sim.scene.world import Scene
-from mvla_sim.sweep.plan import Case
-from mvla_sim.sweep.run import CaseResult, run_cases, table_of
+from mvla_sim.sweep.batch import Outcome
+from mvla_sim.sweep.case import Case
+from mvla_sim.sweep.plan import Plan
+from mvla_sim.sweep.run import RunResult, images_of, run_plan
+from mvla_sim.sweep.survey import survey
 
-__all__ = ["execute"]
+__all__ = ["execute", "show_plan"]
+
+MOST_ROWS = 40
+"""Longer tables are not printed."""
+FIRST_ERRORS = 3
 
 
-def execute(settings: ExperimentSettings, cases: Sequence[Case], folder: Path, out: Console) -> None:
-    """Run all cases; the table holds every finished case even if the run is stopped.
+def show_plan(plan: Plan, folder: Path, workers: int, out: Console) -> None:
+    """Print what a run would do: cases by axis, what is stored and cached, and about how long it takes."""
+    found = survey(plan, folder, workers)
+    table = Table("axis", "values", "", title=plan.experiment.name)
+    table.add_row("scene", str(len(plan.files)), ", ".join(plan.files))
+    for axis, values in plan.experiment.axes.items():
+        count = "" if values == ("all",) else str(len(values))
+        table.add_row(axis, count, ", ".join("none" if value is None else str(value) for value in values))
+    out.print(table)
+    again = f", of which {found.failed} failed before" if found.failed else ""
+    out.print(f"cases:    {found.cases}; {found.done} stored, {found.cases - found.done} to run{again}", markup=False)
+    cached = sum(channel.cached for channel in found.channels)
+    out.print(f"CIRs:     {len(found.channels)} needed, {cached} cached", markup=False)
+    for channel in found.channels:
+        if not channel.cached:
+            out.print(f"          {channel.scene}: {channel.views} views to trace", markup=False)
+    basis = "from the time of stored cases" if found.measured else "a guess: nothing was measured yet"
+    out.print(f"time:     about {_duration(found.seconds)} with {workers} workers ({basis})", markup=False)
 
-    Raises
-    ------
-    OutputError
-        The folder cannot be made or written.
+
+def execute(
+    plan: Plan, folder: Path, out: Console, errors: Console, *, workers: int | None = None, fresh: bool = False
+) -> int:
+    """Run what is missing, draw the pictures the experiment asks for, print the main columns.
+
+    Returns
+    -------
+    int
+        Exit code: 1 where a case failed or is missing, else 0.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made ({error.strerror})") from error
-    shown: list[CaseResult] = []
-    rows = []
+    result = run_plan(plan, folder, workers=workers, fresh=fresh)
+    for note in result.notes:
+        errors.print(f"mvla: note: {note}", markup=False)
+    pictures = [*_draw_shown(plan, folder), *_draw_curve(result.table, folder)]
+    _print(result.table, plan, out)
+    for file in result.files:
+        out.print(f"table:    {file}", markup=False)
+    for picture in pictures:
+        out.print(f"picture:  {picture}", markup=False)
+    return _verdict(result, errors)
+
+
+def _verdict(result: RunResult, errors: Console) -> int:
+    """Say what failed, and return the exit code."""
+    failed = result.table[result.table["status"] == "failed"]
+    for row in failed.head(FIRST_ERRORS).to_dict("records"):
+        errors.print(f"mvla: case {row['case']} failed: {row['error']}", markup=False)
+    missing = result.count("missing")
+    if len(failed) or missing:
+        parts = [f"{n} {word}" for n, word in ((len(failed), "failed"), (missing, "missing")) if n]
+        errors.print(f"mvla: error: of {len(result.table)} cases {' and '.join(parts)}; see the table", markup=False)
+        return 1
+    return 0
+
+
+def _draw_shown(plan: Plan, folder: Path) -> list[Path]:
+    """Draw the scenes, and the images of the cases that the experiment shows; nothing where it shows none."""
+    cases = [case for case in plan.cases if any(_matches(case, wanted) for wanted in plan.experiment.show)]
     pictures: list[Path] = []
-
-    def on_channel(scene: Scene, cir: Cir) -> None:
-        for suffix in (".png", ".pdf"):
-            pictures.append(folder / f"{scene.name}-scene{suffix}")
-            save_figure(plot_scene(scene, *truth_of(scene, settings.imaging.grid)), pictures[-1])
-        pictures.append(folder / f"{scene.name}-waterfall.png")
-        draw_waterfall(cir, pictures[-1], [f"noise.snr_db={settings.imaging.noise.snr_db or 'none'}"])
-
-    try:
-        for result in run_cases(cases, on_channel):
-            rows.append(result.row())
-            if any(_matches(result.case, wanted) for wanted in settings.show):
-                shown.append(result)
-    finally:
-        if rows:
-            _write_table(rows, settings, folder)
+    for channel in dict.fromkeys(case.channel for case in cases):
+        pictures += _draw_channel(plan, channel, folder)
+    shown = list(images_of(plan, cases))
     for result in shown:
         pictures.append(folder / f"{_label(result.case)}.png")
         save_figure(plot_image(result.image, result.evaluation.truth, result.evaluation.occupied), pictures[-1])
@@ -69,33 +103,32 @@ def execute(settings: ExperimentSettings, cases: Sequence[Case], folder: Path, o
         for suffix in (".png", ".pdf"):
             pictures.append(folder / f"comparison-{number + 1}{suffix}")
             save_figure(figure, pictures[-1])
-    table = table_of(rows)
-    if {"interval_deg", "method"} <= set(table) and table["interval_deg"].nunique() > 1:
-        pictures.append(folder / "cd-against-interval.png")
-        save_figure(
-            plot_curves(
-                table,
-                "interval_deg",
-                "cd_db",
-                "method",
-                x_label="angular interval (°)",
-                y_label="Chamfer distance (dB(m²))",
-            ),
-            pictures[-1],
-        )
-    _print(rows, settings, out)
-    out.print(f"table:    {folder / 'table.csv'}", markup=False)
+    return pictures
+
+
+def _draw_channel(plan: Plan, channel: str, folder: Path) -> list[Path]:
+    """Draw a scene and the waterfall of its profiles."""
+    scene, imaging = plan.scenes[channel], plan.experiment.imaging
+    pictures = [folder / f"{scene.name}-scene{suffix}" for suffix in (".png", ".pdf")]
     for picture in pictures:
-        out.print(f"picture:  {picture}", markup=False)
+        save_figure(plot_scene(scene, *truth_of(scene, imaging.grid)), picture)
+    snr_db = "none" if imaging.noise.snr_db is None else imaging.noise.snr_db
+    pictures.append(folder / f"{scene.name}-waterfall.png")
+    draw_waterfall(simulate(scene), pictures[-1], [f"noise.snr_db={snr_db}"])
+    return pictures
 
 
-def _write_table(rows: list[dict[str, object]], settings: ExperimentSettings, folder: Path) -> None:
-    with atomic_output(folder / "table.csv") as temporary:
-        table_of(rows).to_csv(temporary, index=False, float_format="%.9g")
-    with atomic_output(folder / "experiment.json") as temporary:
-        record = {"settings": settings.model_dump(mode="json"), "provenance": provenance()}
-        record["settings"]["scenes"] = [Path(name).name for name in settings.scenes]
-        temporary.write_text(json.dumps(record, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+def _draw_curve(table: pd.DataFrame, folder: Path) -> list[Path]:
+    """Draw CD against the interval where the table is such a curve: one case for each method and interval."""
+    axes = ["interval_deg", "method"]
+    if not {*axes, "cd_db"} <= set(table) or table["interval_deg"].nunique() < 2 or table.duplicated(axes).any():
+        return []
+    figure = plot_curves(
+        table, "interval_deg", "cd_db", "method", x_label="angular interval (°)", y_label="Chamfer distance (dB(m²))"
+    )
+    picture = folder / "cd-against-interval.png"
+    save_figure(figure, picture)
+    return [picture]
 
 
 def _matches(case: Case, wanted: Mapping[str, object]) -> bool:
@@ -104,24 +137,42 @@ def _matches(case: Case, wanted: Mapping[str, object]) -> bool:
 
 def _label(case: Case) -> str:
     """Name of a case's picture: its values, a short name where the value alone says nothing."""
-    parts = [str(v) if isinstance(v, str) else f"{k.rpartition('.')[2]}-{v:g}" for k, v in case.values.items()]
+    parts = [
+        value
+        if isinstance(value, str)
+        else f"{key.rpartition('.')[2]}-{'none' if value is None else format(value, 'g')}"
+        for key, value in case.values.items()
+    ]
     return "-".join(parts)
 
 
-def _rows_of(shown: Sequence[CaseResult]) -> list[list[CaseResult]]:
+def _rows_of(shown: Sequence[Outcome]) -> list[list[Outcome]]:
     """Group shown cases that differ in the method alone, in the order of the plan."""
-    groups: dict[str, list[CaseResult]] = {}
+    groups: dict[str, list[Outcome]] = {}
     for result in shown:
         key = str({k: v for k, v in result.case.values.items() if k != "method"})
         groups.setdefault(key, []).append(result)
     return [group for group in groups.values() if len(group) > 1]
 
 
-def _print(rows: Sequence[dict[str, object]], settings: ExperimentSettings, out: Console) -> None:
-    """Print the main columns; the CSV has them all."""
+def _print(table: pd.DataFrame, plan: Plan, out: Console) -> None:
+    """Print the main columns of a short table; the CSV has them all."""
+    if len(table) > MOST_ROWS:
+        out.print(f"{plan.experiment.name}: {len(table)} cases", markup=False)
+        return
     heads = {"cd_db": "CD dB(m²)", "top_percent": "p %", "min_support_deg": "T_θ °", "f1_10cm": "F1 10 cm"}
-    columns = ["scene", *settings.axes, *(key for key in heads if key in rows[0])]
-    table = Table(*(heads.get(key, key) for key in columns), title=settings.name)
-    for row in rows:
-        table.add_row(*(f"{v:.4g}" if isinstance(v := row.get(key, ""), float) else str(v) for key in columns))
-    out.print(table)
+    columns = ["scene", *plan.experiment.axes, *(key for key in heads if key in table)]
+    shown = Table(*(heads.get(key, key) for key in columns), title=plan.experiment.name)
+    for row in table.to_dict("records"):
+        shown.add_row(*(_text(row[key]) for key in columns))
+    out.print(shown)
+
+
+def _text(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -43,6 +43,14 @@ class CalibrationSettings(Settings):
     source: Name = Field(alias="from", description="name of the other experiment's folder, beside this one's")
     over: Annotated[tuple[str, ...], Field(min_length=1)] = ("interval_deg", "offset", "seed")
 
+    @field_validator("over")
+    @classmethod
+    def _check_over(cls, over: tuple[str, ...]) -> tuple[str, ...]:
+        for name in over:
+            if dotted_key(name) is None:
+                raise ValueError(f"'{name}' names no setting, so it is no axis")
+        return over
+
 
 class ExperimentSettings(Settings):
     """One experiment file.
@@ -77,11 +85,11 @@ class ExperimentSettings(Settings):
             keys[key] = axis
             if not values:
                 raise ValueError(f"'{axis}' is empty; give at least one value")
-            seen: list[AxisValue] = []
+            seen: set[tuple[bool, AxisValue]] = set()
             for value in values:
-                if any(value == other and isinstance(value, bool) == isinstance(other, bool) for other in seen):
+                if (isinstance(value, bool), value) in seen:  # 1 and 1.0 are one value, 1 and true are not
                     raise ValueError(f"'{axis}' has {value!r} twice")
-                seen.append(value)
+                seen.add((isinstance(value, bool), value))
             if key == OFFSET and ALL in values and len(values) > 1:
                 raise ValueError(f"'{axis}' has '{ALL}' and other values; give one or the other")
         return axes

@@ -78,7 +78,7 @@ class PeakSettings(Settings):
 
     threshold_sigma: PositiveFloat = Field(4.0, description="threshold above the median, in robust standard deviations")
     dynamic_range_db: PositiveFloat = Field(
-        25.0, description="peaks weaker than the strongest by more are dropped: two Hann sidelobes may add up to -25.5 dB"
+        25.0, description="weaker peaks, relative to the strongest, are dropped: two Hann sidelobes reach -25.5 dB"
     )
     min_separation: NonNegativeFloat = Field(1.0, description="in resolution cells: 1/B times the window's broadening")
     max_peaks: Annotated[int, Field(ge=1)] | None = Field(None, description="keep the strongest; by default all")

@@ -32,7 +32,7 @@ class Evaluation:
     scores
         CD, accuracy, completeness, precision, recall, F1 and Hausdorff-95 at those thresholds.
     optimum
-        The exact optimum over every p and T_θ, whatever the protocol.
+        The exact optimum over every p and T_θ; None where it was not asked for.
     truth, occupied
         Ground truth and binary reconstruction, ``[nz, ny, nx]`` bool.
     """
@@ -41,7 +41,7 @@ class Evaluation:
     top_percent: float
     min_support_deg: float
     scores: Scores
-    optimum: Optimum
+    optimum: Optimum | None
     truth: NDArray[np.bool_]
     occupied: NDArray[np.bool_]
 
@@ -51,16 +51,18 @@ class Evaluation:
         return self.scores.cd_db
 
     def as_dict(self) -> dict[str, Any]:
-        """Flat row for a table: thresholds, metrics, optimum."""
-        return {
+        """Flat row for a table: thresholds, metrics, and the optimum if it is known."""
+        row = {
             "protocol": self.protocol,
             "top_percent": self.top_percent,
             "min_support_deg": self.min_support_deg,
             **self.scores.as_dict(),
-            "optimal_cd_db": self.optimum.cd_db,
-            "optimal_top_percent": self.optimum.top_percent,
-            "optimal_min_support_deg": self.optimum.min_support_deg,
         }
+        if self.optimum is not None:
+            row["optimal_cd_db"] = self.optimum.cd_db
+            row["optimal_top_percent"] = self.optimum.top_percent
+            row["optimal_min_support_deg"] = self.optimum.min_support_deg
+        return row
 
 
 def ground_truth(image: Image, settings: EvaluationSettings) -> NDArray[np.bool_]:
@@ -78,7 +80,11 @@ def ground_truth(image: Image, settings: EvaluationSettings) -> NDArray[np.bool_
 
 
 def evaluate(
-    image: Image, settings: EvaluationSettings | None = None, geometry: TruthGeometry | None = None
+    image: Image,
+    settings: EvaluationSettings | None = None,
+    geometry: TruthGeometry | None = None,
+    *,
+    with_optimum: bool = True,
 ) -> Evaluation:
     """Score an image.
 
@@ -90,6 +96,8 @@ def evaluate(
         Kind of truth, distances for F1, and thresholds; without thresholds those of the exact optimum are used.
     geometry
         The truth, prepared by :class:`TruthGeometry`; give it when many images share one truth and grid.
+    with_optimum
+        Search for the optimum even where thresholds are given; the search takes longer than all scores.
 
     Raises
     ------
@@ -106,13 +114,15 @@ def evaluate(
         truth = np.zeros(image.grid.size, bool)
         truth[geometry.voxels] = True
         truth = truth.reshape(image.grid.shape)
-    optimum = optimal_thresholds(image.score, image.support_deg, geometry)
-    if settings.threshold is None:
-        protocol, percent, support = "optimal", optimum.top_percent, optimum.min_support_deg
-    else:
-        protocol = "given"
-        percent, support = settings.threshold.top_percent, settings.threshold.min_support_deg
+    optimum = None
+    if with_optimum or settings.threshold is None:
+        optimum = optimal_thresholds(image.score, image.support_deg, geometry)
+    if settings.threshold is not None:
+        protocol, percent, support = "given", settings.threshold.top_percent, settings.threshold.min_support_deg
         top_count(percent, image.grid.size)
+    else:
+        assert optimum is not None
+        protocol, percent, support = "optimal", optimum.top_percent, optimum.min_support_deg
     occupied = joint_threshold(image.score, image.support_deg, percent, support)
     scores = score(truth, occupied, image.grid, settings.distances_m)
     return Evaluation(protocol, percent, support, scores, optimum, truth, occupied)

@@ -7,13 +7,13 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from mvla_sim.config.experiment import AxisValue
 from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings
 from mvla_sim.config.scene import SceneSettings
 
-__all__ = ["ROW_SCHEMA", "Case", "case_key", "flatten", "setting_columns"]
+__all__ = ["ROW_SCHEMA", "Case", "Row", "case_key", "flatten", "setting_columns"]
 
 ROW_SCHEMA: Final = 1
 """Version of what a stored row holds and of how its numbers are made; rows of another version are not used."""
@@ -49,6 +49,31 @@ class Case:
     values: Mapping[str, AxisValue] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Row:
+    """What came of a case.
+
+    Attributes
+    ----------
+    key
+        The case's key.
+    status
+        ``done`` or ``failed``.
+    error
+        Why it failed, in one line; empty where it did not.
+    seconds
+        Time it took, with what it had to prepare for itself and the cases after it, seconds.
+    metrics
+        Number of views, thresholds and scores by column.
+    """
+
+    key: str
+    status: Literal["done", "failed"]
+    error: str = ""
+    seconds: float = 0.0
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+
+
 def case_key(channel: str, imaging: ImagingSettings, evaluation: EvaluationSettings) -> str:
     """SHA-256, in hexadecimal, over everything that decides a case's numbers, as JSON in one form.
 
@@ -73,14 +98,14 @@ def setting_columns(case: Case) -> dict[str, Any]:
     return dict(case.values) | dict(flatten(blocks))
 
 
-def flatten(data: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Single values of nested data by dotted key; a file by its name alone, long lists left out."""
+def flatten(data: Any, path: str = "", longest: int = LONGEST_LIST) -> Iterator[tuple[str, Any]]:
+    """Single values of nested data by dotted key; a file by its name alone, lists longer than ``longest`` left out."""
     if isinstance(data, dict):
         for key, value in data.items():
-            yield from flatten(value, f"{path}.{key}" if path else str(key))
+            yield from flatten(value, f"{path}.{key}" if path else str(key), longest)
     elif isinstance(data, list):
-        if len(data) <= LONGEST_LIST or any(isinstance(item, dict) for item in data):
+        if len(data) <= longest or any(isinstance(item, dict) for item in data):
             for index, item in enumerate(data):
-                yield from flatten(item, f"{path}.{index}")
+                yield from flatten(item, f"{path}.{index}", longest)
     else:
         yield path, Path(data).name if path.endswith(".file") and isinstance(data, str) else data

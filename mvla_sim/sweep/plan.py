@@ -90,7 +90,7 @@ def expand(experiment: ExperimentSettings, folder: Path | None = None, limit: in
 def _check_limit(experiment: ExperimentSettings, count: int, more: str, limit: int | None) -> None:
     if limit is not None and count > limit:
         raise ConfigError(
-            f"experiment {experiment.name}: {more}{count:,} cases, the limit is {limit:,}; shorten the axes or say --yes"
+            f"experiment {experiment.name}: {more}{count:,} cases; above {limit:,} say --yes, or shorten the axes"
         )
 
 

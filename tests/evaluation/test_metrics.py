@@ -108,6 +108,13 @@ def test_a_shifted_line_has_its_shift_as_every_distance(spacing, shift):
     assert result.area_m2 == pytest.approx(30 * spacing**2)
 
 
+def test_rounding_does_not_decide_whether_a_voxel_is_within_a_distance():
+    """0.15/0.05 is below 3 in float64; a voxel three further on is within 0.15 m all the same."""
+    grid = VoxelGrid((0, 0, 0), (30, 20, 1), 0.05)
+    assert 0.15 / grid.spacing_m < 3
+    assert score(line(grid, 8), line(grid, 11), grid, (0.15,)).f1 == (1.0,)
+
+
 def test_half_a_line_is_accurate_but_not_complete():
     grid = VoxelGrid((0, 0, 0), (40, 3, 1), 0.05)
     truth = line(grid, 1)
@@ -149,6 +156,15 @@ def test_scores_agree_with_the_points_they_stand_for(case):
     assert result.recall[0] == np.mean(table.min(axis=1) <= 0.05 * 1.005)
     assert result.precision[1] == np.mean(table.min(axis=0) <= 0.12)
     assert (result.n_truth, result.n_reconstruction) == (len(x), len(y))
+
+
+@given(case=masks())
+@settings(max_examples=50, deadline=None)
+def test_exchanging_the_sets_exchanges_the_directions(case):
+    grid, truth, reconstruction = case
+    one, other = score(truth, reconstruction, grid), score(reconstruction, truth, grid)
+    assert (one.cd_db, one.hausdorff95_m, one.f1) == (other.cd_db, other.hausdorff95_m, other.f1)
+    assert (one.accuracy_m, one.precision) == (other.completeness_m, other.recall)
 
 
 @given(case=masks())

@@ -124,6 +124,32 @@ class TestAgainstEveryThreshold:
         check()
 
 
+@pytest.mark.parametrize(
+    ("counts", "truth", "score", "theta"),
+    [
+        # T_θ = 85° reaches the optimum first, and T_θ = 50°, whose bound equals it, must still be looked at
+        ((6, 1, 1), [2, 3], [3, 7, 4, 3, 8, 5], [80, 10, 50, 85, 10, 0]),
+        # the first block's bound must not be taken from another block
+        (
+            (3, 6, 1),
+            [7, 8, 10],
+            [0, 3, 1, 1, 3, 1, 0, 2, 1, 1, 3, 1, 1, 3, 1, 1, 3, 0],
+            [5, 5, 0, 0, 0, 0, 10, 5, 0, 5, 10, 5, 5, 5, 5, 5, 10, 10],
+        ),
+    ],
+    ids=["equal bound at a lower support", "bound of the first block"],
+)
+def test_rare_orders_of_search(monkeypatch, counts, truth, score, theta):
+    """Problems on which a search with one slip goes wrong; random ones meet them once in thousands."""
+    monkeypatch.setattr(ground_truth, "STENCIL_ENTRIES", 0)
+    grid = VoxelGrid((0, 0, 0), counts, 0.05)
+    mask = np.isin(np.arange(grid.size), truth).reshape(grid.shape)
+    image, support = (np.array(values, np.float32).reshape(grid.shape) for values in (score, theta))
+    _, level, n = min(every_threshold(image, support, mask))
+    best = optimal_thresholds(image, support, TruthGeometry.build(mask, grid))
+    assert (best.min_support_deg, best.n_top) == (level, n)
+
+
 def test_the_fallback_is_taken_and_exact_where_the_best_scores_are_far_away():
     """The stencil reaches 16 voxels here; the truth is 80 voxels from the best score."""
     grid = VoxelGrid((0, 0, 0), (100, 3, 1), 0.05)

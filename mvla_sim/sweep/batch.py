@@ -1,0 +1,199 @@
+"""The work itself: cases that share a channel, with everything they have in common done once.
+
+:func:`prepare` and :func:`run_batch` are pure functions of values that can be pickled, so any scheduler can run them.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mvla_sim.channel.cir import Cir
+from mvla_sim.config.imaging import EvaluationSettings, GridSettings, ImagingSettings, PdpSettings
+from mvla_sim.errors import DataError
+from mvla_sim.evaluation.evaluate import Evaluation, evaluate, ground_truth
+from mvla_sim.evaluation.ground_truth import TruthGeometry
+from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.noise import add_noise
+from mvla_sim.imaging.pdp import Pdp, compute_pdp, gate_for
+from mvla_sim.imaging.peaks import Peaks, extract_peaks
+from mvla_sim.imaging.pipeline import FrontEnd, make_profiles, select_views
+from mvla_sim.imaging.projection import RangeProfiles, project
+from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.scene.trajectory import Views
+from mvla_sim.sweep.case import Case, Row
+
+__all__ = ["Batch", "Channel", "Outcome", "channel_key", "prepare", "reason", "results", "run_batch"]
+
+Value = TypeVar("Value")
+ChannelKey = tuple[str, PdpSettings, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What imaging and evaluation need of a channel impulse response.
+
+    Attributes
+    ----------
+    views
+        Views of the file.
+    pdp
+        Clean power delay profiles of all of them.
+    extent_m
+        The target's extent D, metres.
+    outline
+        The target's cross-section; imaging never looks at it.
+    """
+
+    views: Views
+    pdp: Pdp
+    extent_m: float
+    outline: Any
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Cases of one channel; those that share noise, peaks and profiles follow each other."""
+
+    channel: Channel
+    cases: tuple[Case, ...]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One case with its image, for pictures."""
+
+    case: Case
+    image: Image
+    evaluation: Evaluation
+
+
+def channel_key(case: Case, views: Views) -> ChannelKey:
+    """What decides a case's clean profiles: CIR, PDP settings, range gate in metres."""
+    gate = gate_for(VoxelGrid.from_settings(case.imaging.grid), views.positions_m, case.imaging.pdp)
+    return case.channel, case.imaging.pdp, gate
+
+
+def prepare(file: Path, settings: PdpSettings, gate_m: tuple[float, float], *, with_amplitude: bool = True) -> Channel:
+    """Compute the clean profiles of a CIR file.
+
+    Parameters
+    ----------
+    file
+        A CIR file.
+    settings
+        Window and oversampling.
+    gate_m
+        (near, far), one-way metres.
+    with_amplitude
+        Keep the complex amplitudes, which complex noise alone needs.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read (the message names it), or the gate holds no path.
+    """
+    stamp = file.stat().st_mtime_ns if file.exists() else 0
+    cir = _load(file, stamp)
+    pdp = compute_pdp(cir, settings, gate_m)
+    if not with_amplitude:
+        pdp = Pdp(pdp.power, None, pdp.start_m, pdp.step_m, pdp.resolution_m, pdp.broadening)
+    return Channel(cir.views, pdp, cir.extent_m, cir.outline)
+
+
+def run_batch(batch: Batch) -> list[Row]:
+    """Image and score every case of a batch; a case that fails becomes a row that says why."""
+    return [row for row, _ in results(batch)]
+
+
+def results(batch: Batch) -> Iterator[tuple[Row, Outcome | None]]:
+    """Run a batch and yield each case as it finishes; the outcome is None where the case failed."""
+    worker = _Worker(batch.channel)
+    for case in batch.cases:
+        began = time.perf_counter()
+        try:
+            outcome = worker.run(case)
+        except Exception as error:  # noqa: BLE001 - one bad case must not stop the others; its row says what happened
+            yield Row(case.key, "failed", reason(error), time.perf_counter() - began), None
+            continue
+        metrics = {"views": outcome.image.n_view, **outcome.evaluation.as_dict()}
+        yield Row(case.key, "done", "", time.perf_counter() - began, metrics), outcome
+
+
+def reason(error: BaseException) -> str:
+    """Type and message of an error in one line."""
+    name = type(error).__name__
+    return f"{name}: {' '.join(str(error).split())}" if str(error) else name
+
+
+@functools.lru_cache(maxsize=1)
+def _load(file: Path, stamp: int) -> Cir:
+    """The last file read; ``stamp`` tells a file from one that was there before."""
+    del stamp
+    return Cir.load(file)
+
+
+class _Last:
+    """The last value of each stage with what it was made from: batches are ordered so that no more is needed."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, tuple[Hashable, Any]] = {}
+
+    def get(self, stage: str, key: Hashable, make: Callable[[], Value]) -> Value:
+        if stage not in self._kept or self._kept[stage][0] != key:
+            self._kept[stage] = (key, make())
+        value: Value = self._kept[stage][1]
+        return value
+
+
+class _Worker:
+    """Runs cases of one channel, from noise to scores."""
+
+    def __init__(self, channel: Channel) -> None:
+        self.channel = channel
+        self.last = _Last()
+
+    def run(self, case: Case) -> Outcome:
+        channel, imaging = self.channel, case.imaging
+        grid = VoxelGrid.from_settings(imaging.grid)
+        chosen = select_views(channel.views, imaging.views)
+        profiles = self._profiles(imaging, grid, chosen)
+        result = project(grid, channel.views.select(chosen), profiles)
+        score = result.total if imaging.method == "bp" else result.total / np.float32(chosen.size)
+        image = Image(score, result.support_deg, grid, imaging.method, chosen.size, outline=channel.outline)
+        geometry = self._geometry(image, imaging.grid, case.evaluation)
+        optimise = case.evaluation.threshold is None
+        return Outcome(case, image, evaluate(image, case.evaluation, geometry, with_optimum=optimise))
+
+    def _profiles(self, imaging: ImagingSettings, grid: VoxelGrid, chosen: NDArray[np.intp]) -> RangeProfiles:
+        """Profiles of the chosen views. Those with kernels are made for all views at once."""
+        channel = self.channel
+        pdp = self.last.get("noise", imaging.noise, lambda: add_noise(channel.pdp, imaging.noise))
+        span = grid.range_span_m(channel.views.positions_m)
+        if imaging.method == "bp":
+            front = FrontEnd(pdp.select(chosen), Peaks.none(chosen.size))
+            return make_profiles("bp", front, imaging, channel.extent_m, span)
+        peaks = self.last.get("peaks", (imaging.noise, imaging.peaks), lambda: extract_peaks(pdp, imaging.peaks))
+        if not peaks.row_size[chosen].any():
+            raise DataError(
+                f"no peak in any of the {chosen.size} chosen views; lower peaks.threshold_sigma or raise the SNR"
+            )
+        return self.last.get(
+            "profiles",
+            (imaging.method, imaging.mvla, imaging.noise, imaging.peaks, span),
+            lambda: make_profiles(imaging.method, FrontEnd(pdp, peaks), imaging, channel.extent_m, span),
+        ).select(chosen)
+
+    def _geometry(self, image: Image, grid: GridSettings, settings: EvaluationSettings) -> TruthGeometry:
+        return self.last.get(
+            "truth",
+            (grid, settings.truth),
+            lambda: TruthGeometry.build(ground_truth(image, settings), image.grid),
+        )

@@ -1,0 +1,122 @@
+"""Calibrated thresholds: averages of another experiment's optimal ones, used where the truth is not looked at."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from mvla_sim.config.experiment import CalibrationSettings, dotted_key
+from mvla_sim.config.imaging import ThresholdSettings
+from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.files import existing_file
+from mvla_sim.sweep.table import RECORD, load_table
+
+__all__ = ["Calibration", "average_thresholds"]
+
+THRESHOLDS = ["top_percent", "min_support_deg"]
+
+
+def average_thresholds(table: pd.DataFrame, by: Sequence[str], over: Sequence[str]) -> pd.DataFrame:
+    """Average optimal thresholds.
+
+    Parameters
+    ----------
+    table
+        One row a case, with ``top_percent`` and ``min_support_deg``.
+    by
+        Columns that are kept apart.
+    over
+        Columns that are averaged over: first all rows of one value of the first of them, then these values. So every
+        interval weighs the same, however many offsets it has. Columns that the table lacks are passed over.
+
+    Returns
+    -------
+    DataFrame
+        One row a combination of ``by``: these columns and the averages of p (per cent) and T_θ (degrees).
+    """
+    first = [name for name in over if name in table.columns][:1]
+    inner = table.groupby([*by, *first], dropna=False, sort=False)[THRESHOLDS].mean().reset_index()
+    return inner.groupby(list(by), dropna=False, sort=False)[THRESHOLDS].mean().reset_index()
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Thresholds by the values of the columns that are kept apart.
+
+    Attributes
+    ----------
+    source
+        Folder of the experiment they come from.
+    by
+        The columns.
+    found
+        The thresholds of each combination of their values.
+    """
+
+    source: Path
+    by: tuple[str, ...]
+    found: Mapping[tuple[str | None, ...], ThresholdSettings]
+
+    @classmethod
+    def load(cls, settings: CalibrationSettings, folder: Path) -> Calibration:
+        """Read the table of the other experiment, which lies beside ``folder``, and average its thresholds.
+
+        Raises
+        ------
+        DataError
+            The table is missing, not complete, or not one of optimal thresholds.
+        """
+        source = folder.parent / settings.source
+        table, axes = load_table(source), _axes(source)
+        unfinished = int((table["status"] != "done").sum())
+        if unfinished:
+            raise DataError(
+                f"calibration: {unfinished} of {len(table)} cases of {source} are not done; run that experiment again"
+            )
+        if set(table.get("protocol", ())) != {"optimal"}:
+            raise DataError(f"calibration: the thresholds of {source} were given, not optimised; name another one")
+        by = ("scene", *(name for name in axes if name not in settings.over))
+        found = {
+            tuple(_normal(record[name]) for name in by): ThresholdSettings(
+                top_percent=float(record["top_percent"]), min_support_deg=float(record["min_support_deg"])
+            )
+            for record in average_thresholds(table, by, settings.over).to_dict("records")
+        }
+        return cls(source, by, found)
+
+    def thresholds(self, columns: Mapping[str, Any]) -> ThresholdSettings:
+        """Thresholds of a case, by its scene name, axis values and settings.
+
+        Raises
+        ------
+        ConfigError
+            The other experiment has no case of these values.
+        """
+        values = [columns.get(name, columns.get(dotted_key(name) or name)) for name in self.by]
+        place = tuple(_normal(value) for value in values)
+        if place not in self.found:
+            wanted = ", ".join(f"{name} = {value}" for name, value in zip(self.by, values, strict=True))
+            raise ConfigError(f"calibration: {self.source} has no case with {wanted}")
+        return self.found[place]
+
+
+def _axes(source: Path) -> list[str]:
+    """Names of the axes that a finished experiment had."""
+    file = existing_file(source / RECORD, "record of an experiment")
+    try:
+        return list(json.loads(file.read_text(encoding="utf-8"))["settings"]["axes"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{file}: not a record of an experiment ({error!r})") from error
+
+
+def _normal(value: Any) -> str | None:
+    """A value as it reads in every table: a number in nine digits, nothing as None."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return None
+    return str(value) if isinstance(value, bool | str) else f"{float(value):.9g}"

@@ -1,0 +1,292 @@
+"""Where finished cases are kept: one SQLite file in the experiment's folder, that one run at a time may write."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import sqlite3
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from mvla_sim.config.experiment import dotted_key
+from mvla_sim.errors import DataError, MvlaError, OutputError
+from mvla_sim.runtime.machine import program_version
+from mvla_sim.sweep.case import ROW_SCHEMA, Row, flatten
+from mvla_sim.sweep.plan import Plan
+
+__all__ = ["FILE", "Store", "code_digest", "identity"]
+
+FILE: Final = "store.sqlite"
+LOCK: Final = ".lock"
+COMMIT_S: Final = 0.5
+"""Finished cases are committed together at most this often; a killed run loses no more than that."""
+
+TABLES: Final = """
+CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE cases (key TEXT PRIMARY KEY, status TEXT NOT NULL, error TEXT NOT NULL, seconds REAL NOT NULL,
+                    metrics TEXT NOT NULL) WITHOUT ROWID;
+"""
+
+PACKAGE: Final = Path(__file__).parents[1]
+NUMERIC: Final = ("scene", "channel", "imaging", "evaluation")
+
+Identity = dict[str, dict[str, Any]]
+
+
+def identity(plan: Plan) -> Identity:
+    """Everything that must stay the same for two runs to share a store: all settings but the values of the axes.
+
+    Returns the flat settings under ``experiment``, and those of each scene under ``scene NAME``. Settings that an axis
+    replaces are left out, so values may be added to an axis, and scenes to the experiment.
+    """
+    experiment = plan.experiment
+    replaced = tuple(dotted_key(axis) or axis for axis in experiment.axes)
+
+    def flat(data: dict[str, Any]) -> dict[str, Any]:
+        pairs = flatten(data, longest=10**9)
+        return {key: value for key, value in pairs if not _under(key, replaced)}
+
+    blocks = experiment.model_dump(mode="json", include={"imaging", "evaluation", "calibration"}, by_alias=True)
+    common = flat(blocks) | {"axes": ", ".join(sorted(experiment.axes))}
+    scenes = {name: scene.model_dump(mode="json", exclude={"description"}) for name, scene in plan.files.items()}
+    return {"experiment": common} | {f"scene {name}": flat({"scene": data}) for name, data in scenes.items()}
+
+
+def code_digest() -> str:
+    """SHA-256, in hexadecimal, over the source of everything that decides a case's numbers."""
+    digest = hashlib.sha256()
+    for file in sorted(file for part in NUMERIC for file in (PACKAGE / part).rglob("*.py")):
+        digest.update(f"{file.relative_to(PACKAGE)}\n".encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+class Store:
+    """The finished cases of one experiment.
+
+    Use :meth:`open` as a context manager: it holds the folder's lock for as long as the process lives, so a lock can
+    not be left behind.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self.notes: list[str] = []
+        self._last = time.monotonic()
+        with self._explained():
+            self._database = sqlite3.connect(file, timeout=5, isolation_level=None)
+
+    @classmethod
+    @contextlib.contextmanager
+    def open(cls, folder: Path, wanted: Identity, *, fresh: bool = False) -> Iterator[Store]:
+        """Lock a folder and open the store in it, made if it is not there.
+
+        Parameters
+        ----------
+        folder
+            The experiment's folder.
+        wanted
+            From :func:`identity`.
+        fresh
+            Delete what is stored and begin anew.
+
+        Raises
+        ------
+        OutputError
+            Another run holds the folder, or it cannot be written.
+        DataError
+            The store is damaged, of another schema or version, or of an experiment with other settings; the message
+            says what differs.
+        """
+        with _locked(folder):
+            file = folder / FILE
+            if fresh:
+                for name in (FILE, f"{FILE}-journal"):
+                    (folder / name).unlink(missing_ok=True)
+            store = cls(file)
+            try:
+                store._prepare(wanted)
+                yield store
+                store.flush()
+            finally:
+                store._close()
+
+    @classmethod
+    def peek(cls, folder: Path, wanted: Identity) -> dict[str, Row]:
+        """What a folder's store holds, without locking it; nothing where there is none. Errors as :meth:`open`."""
+        file = folder / FILE
+        if not file.exists() or file.stat().st_size == 0:
+            return {}
+        store = cls(file)
+        try:
+            if store._check(wanted) is None:
+                return {}
+            return store.rows()
+        finally:
+            store._close()
+
+    def rows(self) -> dict[str, Row]:
+        """Everything stored, by key."""
+        with self._explained():
+            found = self._database.execute("SELECT key, status, error, seconds, metrics FROM cases").fetchall()
+        try:
+            return {row[0]: Row(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in found}
+        except ValueError as error:
+            raise DataError(f"{self.file}: a stored case cannot be read ({error}); {_MEND}") from error
+
+    def add(self, row: Row) -> None:
+        """Keep a case in place of what is stored under its key; on disk within half a second.
+
+        Raises
+        ------
+        OutputError
+            The disk is full or the file cannot be written; what was stored before stays.
+        """
+        values = (row.key, row.status, row.error, row.seconds, json.dumps(dict(row.metrics)))
+        with self._explained():
+            if not self._database.in_transaction:
+                self._database.execute("BEGIN")
+            self._database.execute("INSERT OR REPLACE INTO cases VALUES (?, ?, ?, ?, ?)", values)
+        self.flush_if_due()
+
+    def flush_if_due(self) -> None:
+        """Commit if the last commit is half a second ago. Raises as :meth:`add`."""
+        if time.monotonic() - self._last >= COMMIT_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Commit. Raises as :meth:`add`."""
+        with self._explained():
+            if self._database.in_transaction:
+                self._database.execute("COMMIT")
+        self._last = time.monotonic()
+
+    def _prepare(self, wanted: Identity) -> None:
+        known = self._check(wanted)
+        with self._explained():
+            self._database.execute("PRAGMA synchronous = NORMAL")
+            self._database.execute("BEGIN")
+            if known is None:
+                for statement in TABLES.split(";")[:-1]:
+                    self._database.execute(statement)
+            codes = self._codes() if known is not None else []
+            current = code_digest()
+            if any(code != current for code in codes):
+                self.notes.append(
+                    f"{self.file}: some cases stored here were computed before this program's code was changed; "
+                    f"--fresh computes them anew"
+                )
+            values = {
+                "schema": ROW_SCHEMA,
+                "program": program_version(),
+                "codes": sorted({*codes, current}),
+                "identity": (known or {}) | wanted,
+            }
+            self._database.executemany(
+                "INSERT OR REPLACE INTO meta VALUES (?, ?)",
+                [(name, json.dumps(value, sort_keys=True)) for name, value in values.items()],
+            )
+            self._database.execute("COMMIT")
+
+    def _codes(self) -> list[str]:
+        """Digests of the code that computed what is stored."""
+        found = self._database.execute("SELECT value FROM meta WHERE name = 'codes'").fetchone()
+        return list(json.loads(found[0])) if found else []
+
+    def _check(self, wanted: Identity) -> Identity | None:
+        """Identity of what is stored, None where nothing is; refuses what does not fit."""
+        with self._explained():
+            if self._database.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
+                raise DataError(f"{self.file}: the store is damaged; {_MEND}")
+            tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+            if not tables:
+                return None
+            if tables != {"meta", "cases"}:
+                raise DataError(f"{self.file}: is a database, but no store of a sweep; {_MEND}")
+            meta = dict(self._database.execute("SELECT name, value FROM meta").fetchall())
+        try:
+            schema, program, known = (json.loads(meta[name]) for name in ("schema", "program", "identity"))
+        except (KeyError, ValueError) as error:
+            raise DataError(f"{self.file}: the store's description cannot be read ({error!r}); {_MEND}") from error
+        if schema != ROW_SCHEMA:
+            raise DataError(f"{self.file}: schema {schema}; this program writes schema {ROW_SCHEMA}; {_MEND}")
+        if program != program_version():
+            raise DataError(f"{self.file}: made by mvla-sim {program}, this is {program_version()}; {_MEND}")
+        differences = list(_differences(known, wanted))
+        if differences:
+            raise DataError(f"{self.file}: holds cases of other settings: {'; '.join(differences)}; {_MEND}")
+        stored: Identity = known
+        return stored
+
+    def _close(self) -> None:
+        """Keep what is not committed yet, if that is possible."""
+        with contextlib.suppress(MvlaError):
+            self.flush()
+        with contextlib.suppress(sqlite3.Error):
+            self._database.close()
+
+    @contextlib.contextmanager
+    def _explained(self) -> Iterator[None]:
+        """Turn SQLite's errors into one line."""
+        try:
+            yield
+        except sqlite3.DatabaseError as error:
+            text = str(error)
+            if "full" in text:
+                raise OutputError(
+                    f"{self.file}: no space left on the disk ({text}); what was stored stays: make room and run again"
+                ) from error
+            if isinstance(error, sqlite3.OperationalError) and "malformed" not in text:
+                raise OutputError(f"{self.file}: cannot be used ({text})") from error
+            raise DataError(f"{self.file}: not a readable store, truncated or damaged ({text}); {_MEND}") from error
+
+
+_MEND: Final = "choose another folder with -o, or discard what is stored with --fresh"
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold a folder; the system lets go of it when the process ends, however it ends."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = (folder / LOCK).open("a+", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written ({error.strerror}); choose another folder with -o") from error
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            handle.seek(0)
+            owner = handle.read(20).strip() or "unknown"
+            raise OutputError(
+                f"{folder}: another run is at work here (process {owner}); wait for it or choose another folder with -o"
+            ) from error
+        except OSError as error:
+            raise OutputError(
+                f"{folder}: cannot be locked ({error.strerror}); choose another folder with -o"
+            ) from error
+        handle.truncate(0)
+        handle.write(str(os.getpid()))
+        handle.flush()
+        yield
+
+
+def _under(key: str, replaced: tuple[str, ...]) -> bool:
+    return any(key == axis or key.startswith(f"{axis}.") for axis in replaced)
+
+
+def _differences(known: Identity, wanted: Identity) -> Iterator[str]:
+    """What differs, as "key = there there, here here"; parts that only one of them has are additions."""
+    for part in known.keys() & wanted.keys():
+        prefix = "" if part == "experiment" else f"{part}: "
+        for key in sorted(known[part].keys() | wanted[part].keys()):
+            there, here = (_shown(side[part], key) for side in (known, wanted))
+            if there != here:
+                yield f"{prefix}{key.removeprefix('scene.')} = {there} there, {here} here"
+
+
+def _shown(settings: Mapping[str, Any], key: str) -> str:
+    return json.dumps(settings[key], ensure_ascii=False) if key in settings else "absent"

@@ -1,0 +1,80 @@
+"""What a run would do, found out without doing it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from mvla_sim.channel.simulate import cache_file
+from mvla_sim.sweep.plan import Plan
+from mvla_sim.sweep.run import missing_cases
+from mvla_sim.sweep.schedule import PREPARE_S, TRACE_VIEW_S, case_seconds, tasks_of
+from mvla_sim.sweep.store import Store, identity
+
+__all__ = ["ChannelState", "Survey", "survey"]
+
+
+@dataclass(frozen=True)
+class ChannelState:
+    """A scene that has cases to run: its name, its number of views, and whether its CIR is cached."""
+
+    scene: str
+    views: int
+    cached: bool
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The state of an experiment.
+
+    Attributes
+    ----------
+    cases, done, failed
+        Numbers of cases in the plan, stored, and stored as failed; failed ones are run again.
+    channels
+        Channels of the cases that would run.
+    seconds
+        Estimated time of a run.
+    measured
+        Whether the estimate rests on cases that ran here, not on a guess.
+    """
+
+    cases: int
+    done: int
+    failed: int
+    channels: tuple[ChannelState, ...]
+    seconds: float
+    measured: bool
+
+
+def survey(plan: Plan, folder: Path, workers: int) -> Survey:
+    """Look at a plan, at what a folder holds of it and at the cache.
+
+    Raises
+    ------
+    DataError
+        The folder's store does not fit the plan, or is damaged.
+    """
+    rows = Store.peek(folder, identity(plan))
+    missing = missing_cases(plan, rows)
+    views = {channel: len(scene.views) for channel, scene in plan.scenes.items()}
+    stored = {case.key: case for case in plan.cases if case.key in rows}
+    done = [case for case in stored.values() if rows[case.key].status == "done"]
+    guessed = sum(case_seconds(case, views[case.channel]) for case in done)
+    measured = sum(rows[case.key].seconds for case in done)
+    ratio = measured / guessed if guessed else 1.0
+    tasks = tasks_of(plan, missing, workers)
+    needed = {task.key[0]: task.scene for task in tasks}
+    channels = [ChannelState(scene.name, len(scene.views), cache_file(scene).exists()) for scene in needed.values()]
+    seconds = sum(TRACE_VIEW_S * channel.views for channel in channels if not channel.cached)
+    seconds += PREPARE_S * len(tasks) / min(workers, max(1, len(tasks)))
+    work = ratio * sum(case_seconds(case, views[case.channel]) for case in missing)
+    seconds += work / min(workers, max(1, sum(len(task.batches) for task in tasks)))
+    return Survey(
+        cases=len(plan.cases),
+        done=len(done),
+        failed=len(stored) - len(done),
+        channels=tuple(channels),
+        seconds=seconds,
+        measured=bool(done),
+    )

@@ -1,0 +1,88 @@
+"""Tidy tables: one row a case, every setting and every metric a column."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+
+from mvla_sim.errors import DataError
+from mvla_sim.files import atomic_output, existing_file
+from mvla_sim.sweep.case import Case, Row, setting_columns
+
+__all__ = ["FILE", "RECORD", "build_table", "load_table", "write_table"]
+
+FILE: Final = "table.csv"
+RECORD: Final = "experiment.json"
+"""Settings and provenance, beside the table."""
+TEXT: Final = ("key", "status", "error", "scene", "reason", "protocol")
+
+
+def build_table(cases: Sequence[Case], rows: Mapping[str, Row]) -> pd.DataFrame:
+    """Join a plan and what is stored of it, in the order of the plan.
+
+    The first columns are ``case``, ``key``, ``status`` (done, failed or missing), ``error`` and ``seconds``; then the
+    scene and the axes, every setting by its dotted key, and the metrics, NaN where a case is not done.
+    """
+    records: list[dict[str, Any]] = []
+    for case in cases:
+        row = rows.get(case.key)
+        head = {
+            "case": case.number,
+            "key": case.key,
+            "status": row.status if row else "missing",
+            "error": row.error if row else "",
+            "seconds": row.seconds if row else float("nan"),
+        }
+        record = head | setting_columns(case) | dict(row.metrics if row else {})
+        records.append({name: float("nan") if value is None else value for name, value in record.items()})
+    table = pd.DataFrame(records)
+    metrics = list(dict.fromkeys(name for row in rows.values() for name in row.metrics if name in table.columns))
+    table = table[[*(name for name in table.columns if name not in metrics), *metrics]]
+    for name in set(TEXT) & set(table.columns):
+        table[name] = table[name].fillna("")
+    return table
+
+
+def write_table(table: pd.DataFrame, folder: Path) -> list[Path]:
+    """Write ``table.csv``, and ``table.parquet`` where pyarrow is installed; return what was written.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be written.
+    """
+    csv, parquet = folder / FILE, folder / "table.parquet"
+    with atomic_output(csv) as temporary:
+        table.to_csv(temporary, index=False, float_format="%.9g")
+    if importlib.util.find_spec("pyarrow") is None:
+        parquet.unlink(missing_ok=True)  # of an earlier table
+        return [csv]
+    mixed = [name for name in table.columns if table[name].dropna().map(type).nunique() > 1]
+    with atomic_output(parquet) as temporary:
+        table.astype(dict.fromkeys(mixed, str)).to_parquet(temporary, index=False)
+    return [csv, parquet]
+
+
+def load_table(folder: str | os.PathLike[str]) -> pd.DataFrame:
+    """Read the table of an experiment from its folder.
+
+    Raises
+    ------
+    DataError
+        There is none, or it is no table of a sweep.
+    """
+    file = existing_file(Path(folder) / FILE, "table of an experiment; run the experiment first")
+    try:
+        table = pd.read_csv(file, dtype=dict.fromkeys(TEXT, str), low_memory=False)
+    except (ValueError, UnicodeDecodeError) as error:  # pandas' own errors are ValueErrors
+        raise DataError(f"{file}: not a readable table ({error})") from error
+    if not {"case", "key", "status"} <= set(table.columns):
+        raise DataError(f"{file}: not a table of a sweep; it must have the columns case, key and status")
+    for name in set(TEXT) & set(table.columns):
+        table[name] = table[name].fillna("")
+    return table
