@@ -14,6 +14,7 @@ class Stream(IntEnum):
 
     NOISE = 1
     SPECKLE = 2
+    PHASE = 3
 
 
 def stream(seed: int, name: Stream, *key: int) -> np.random.Generator:

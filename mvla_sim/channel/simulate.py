@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-import shutil
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -102,11 +101,6 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
         cir.save(kept)
         partial.unlink(missing_ok=True)
     return cir
-
-
-def clear_cache() -> None:
-    """Delete every cached CIR."""
-    shutil.rmtree(cache_folder() / "cir", ignore_errors=True)
 
 
 def _load(path: Path) -> Cir | None:

@@ -12,7 +12,16 @@ from pydantic import Field, field_validator, model_validator
 from mvla_sim.config.base import Settings, apply_overrides, parse, read_toml, resolve_beside
 from mvla_sim.config.imaging import SHORT_NAMES, EvaluationSettings, ImagingSettings
 
-__all__ = ["ALL", "OFFSET", "AxisValue", "CalibrationSettings", "ExperimentSettings", "dotted_key", "load_experiment"]
+__all__ = [
+    "ALL",
+    "OFFSET",
+    "AxisValue",
+    "CalibrationSettings",
+    "ExperimentSettings",
+    "VariantSettings",
+    "dotted_key",
+    "load_experiment",
+]
 
 AxisValue = bool | int | float | str | None
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w-]*$")]
@@ -52,12 +61,27 @@ class CalibrationSettings(Settings):
         return over
 
 
+class VariantSettings(Settings):
+    """One departure from an experiment's settings, for sensitivity studies: a label and the settings that change."""
+
+    label: Annotated[str, Field(min_length=1)]
+    set: dict[str, AxisValue] = Field(default_factory=dict, description="dotted key or short name: value")
+
+    @field_validator("set")
+    @classmethod
+    def _check_set(cls, chosen: dict[str, AxisValue]) -> dict[str, AxisValue]:
+        for key in chosen:
+            if dotted_key(key) is None:
+                raise ValueError(f"'{key}' names no setting; write imaging., evaluation. or scene. in front of it")
+        return chosen
+
+
 class ExperimentSettings(Settings):
     """One experiment file.
 
     An axis is a short name (``snr_db``, ``interval_deg``, ``offset``, ``seed``, ``method``, ``kappa``, ``eta``, …) or a
     dotted key that begins with ``imaging.``, ``evaluation.`` or ``scene.``; cases are the product of all axes.
-    ``offset = "all"`` stands for every offset of a case's interval.
+    ``offset = "all"`` stands for every offset of a case's interval. With variants, the whole product is run for each.
     """
 
     name: Name
@@ -67,6 +91,7 @@ class ExperimentSettings(Settings):
     evaluation: EvaluationSettings = EvaluationSettings()
     calibration: CalibrationSettings | None = Field(None, description="thresholds from another experiment's table")
     axes: dict[str, tuple[AxisValue, ...]] = Field(default_factory=dict)
+    variants: tuple[VariantSettings, ...] = Field((), description="or the name of a TOML file that lists them")
     show: tuple[dict[str, AxisValue], ...] = Field((), description="cases of which pictures are drawn, by axis value")
 
     @field_validator("axes")
@@ -101,6 +126,14 @@ class ExperimentSettings(Settings):
                 if key != "scene" and key not in self.axes:
                     allowed = ", ".join(["scene", *self.axes])
                     raise ValueError(f"show: '{key}' is no axis of this experiment; allowed: {allowed}")
+        labels = [variant.label for variant in self.variants]
+        for variant in self.variants:
+            if labels.count(variant.label) > 1:
+                raise ValueError(f"variants: the label '{variant.label}' is used twice")
+            swept = {dotted_key(key) for key in variant.set} & {dotted_key(axis) for axis in self.axes}
+            if swept:
+                names = ", ".join(sorted(map(str, swept)))
+                raise ValueError(f"variants: '{variant.label}' sets {names}, which is an axis")
         thresholds = [axis for axis in self.axes if axis.startswith("evaluation.threshold")]
         if self.calibration and (thresholds or self.evaluation.threshold is not None):
             given = f"axes.{thresholds[0]}" if thresholds else "evaluation.threshold"
@@ -120,6 +153,9 @@ def load_experiment(path: str | os.PathLike[str], overrides: Sequence[str] = ())
     if isinstance(data.get("scenes"), list):
         folder = Path(path).parent
         data["scenes"] = [resolve_beside(s, folder) if isinstance(s, str) else s for s in data["scenes"]]
+    if isinstance(data.get("variants"), str):
+        variants = resolve_beside(data["variants"], Path(path).parent)
+        data["variants"] = read_toml(variants, "file of variants").get("variants", [])
     if isinstance(data.get("axes"), dict):
         data["axes"] = {
             key: [ALL] if value == ALL and dotted_key(key) == OFFSET else value for key, value in data["axes"].items()

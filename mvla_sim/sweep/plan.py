@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
+import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -71,6 +71,8 @@ def expand(experiment: ExperimentSettings, folder: Path | None = None, limit: in
     DataError
         A scene file, or the table to calibrate with, cannot be used.
     """
+    if experiment.variants:
+        return _expand_variants(experiment, folder, limit)
     least = len(experiment.scenes) * math.prod(len(values) for values in experiment.axes.values())
     _check_limit(experiment, least, "at least ", limit)
     builder = _Builder(experiment)
@@ -85,6 +87,24 @@ def expand(experiment: ExperimentSettings, folder: Path | None = None, limit: in
         for number, (name, channel, values) in enumerate(points)
     )
     return Plan(experiment, cases, builder.scenes, builder.files)
+
+
+def _expand_variants(experiment: ExperimentSettings, folder: Path | None, limit: int | None) -> Plan:
+    """Expand each variant as an experiment of its own, its settings as axes of one value, and join the plans."""
+    cases: list[Case] = []
+    scenes: dict[str, Scene] = {}
+    files: Mapping[str, SceneSettings] = {}
+    for variant in experiment.variants:
+        axes = {**{key: (value,) for key, value in variant.set.items()}, **experiment.axes}
+        plan = expand(experiment.model_copy(update={"axes": axes, "variants": ()}), folder, limit)
+        for case in plan.cases:
+            values = {"scene": case.values["scene"], "variant": variant.label}
+            values |= {axis: value for axis, value in case.values.items() if axis not in variant.set}
+            cases.append(replace(case, number=len(cases), values=values))
+        scenes |= plan.scenes
+        files = plan.files
+        _check_limit(experiment, len(cases), "at least ", limit)
+    return Plan(experiment, tuple(cases), scenes, files)
 
 
 def _check_limit(experiment: ExperimentSettings, count: int, more: str, limit: int | None) -> None:
@@ -111,8 +131,8 @@ class _Builder:
                 raise ConfigError(f"{file}: name = '{scene.name}' is also the name of another scene of this experiment")
             self.files[scene.name] = scene
         self._blocks = {
-            "imaging": experiment.imaging.model_dump(mode="json"),
-            "evaluation": experiment.evaluation.model_dump(mode="json"),
+            "imaging": experiment.imaging.model_dump_json(),
+            "evaluation": experiment.evaluation.model_dump_json(),
         }
         self._channels: dict[tuple[Any, ...], str] = {}
         self._parsed: dict[tuple[Any, ...], Any] = {}
@@ -181,7 +201,7 @@ class _Builder:
         chosen = self._of(block, values)
         place = (block, *((axis, type(value), value) for axis, value in chosen.items()))
         if place not in self._parsed:
-            data = {block: copy.deepcopy(self._blocks[block])}
+            data = {block: json.loads(self._blocks[block])}  # quicker than a deep copy
             for axis, value in chosen.items():
                 assign(data, self.keys[axis], _plain(value), f"{self.source}.{axis}")
             self._parsed[place] = parse(model, data[block], self.source)

@@ -74,8 +74,12 @@ def tasks_of(plan: Plan, cases: Sequence[Case], workers: int) -> list[Task]:
     Within a group cases are put in an order in which those with the same noise, peaks and profiles are neighbours.
     """
     groups: dict[ChannelKey, list[Case]] = {}
+    keys: dict[object, ChannelKey] = {}
     for case in cases:
-        groups.setdefault(channel_key(case, plan.scenes[case.channel].views), []).append(case)
+        place = (case.channel, case.imaging.pdp, case.imaging.grid)
+        if place not in keys:
+            keys[place] = channel_key(case, plan.scenes[case.channel].views)
+        groups.setdefault(keys[place], []).append(case)
     total = sum(case_seconds(case, len(plan.scenes[case.channel].views)) for case in cases)
     target = max(LEAST_BATCH_S, total / (BATCHES_PER_WORKER * workers))
     return [
