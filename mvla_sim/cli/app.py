@@ -34,6 +34,9 @@ Output = Annotated[Path, typer.Option("--output", "-o", help="File to write.")]
 SceneFile = Annotated[Path, typer.Argument(help="A scene file (TOML), as in scenes/.")]
 
 
+_INTERRUPTED = 130
+
+
 def run(arguments: list[str]) -> int:
     """Run the command line and return its exit code; errors of the package are one line and code 2."""
     if arguments in ([], ["scene"]):
@@ -47,11 +50,12 @@ def run(arguments: list[str]) -> int:
         errors.print(f"mvla: error: {error}", markup=False)
         return error.exit_code
     except (KeyboardInterrupt, typer.Abort):
-        errors.print("mvla: stopped; finished files are whole, nothing half-written is left", markup=False)
-        return 130
+        code = _INTERRUPTED
     except MemoryError as error:
         errors.print(f"mvla: error: out of memory ({error}); use a coarser grid or fewer rays", markup=False)
         return 2
+    if code == _INTERRUPTED:  # Typer turns Ctrl-C into this code and says nothing
+        errors.print("mvla: stopped; finished files are whole, nothing half-written is left", markup=False)
     return code if isinstance(code, int) else 0
 
 
@@ -202,7 +206,7 @@ def run_experiment(
     """Run the cases of an experiment that are not stored yet; write its table and pictures.
 
     Every finished case is stored at once, so a run can be stopped at any time and goes on when it is started again.
-    Tables are CSV, and Parquet too where pyarrow is installed (pip install mvla-sim[parquet]).
+    Tables are written as CSV and as Parquet.
     """
     from mvla_sim.cli.experiment import execute, show_plan
     from mvla_sim.config.experiment import load_experiment

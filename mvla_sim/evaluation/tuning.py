@@ -35,6 +35,7 @@ from scipy.spatial.distance import cdist
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.ground_truth import TruthGeometry, whole_coordinates
 from mvla_sim.evaluation.metrics import chamfer_of_sums, decibel
+from mvla_sim.imaging.threshold import rank_order
 from mvla_sim.scene.grid import VoxelGrid
 
 __all__ = ["Optimum", "TruthGeometry", "chamfer_for_prefixes", "optimal_thresholds"]
@@ -153,7 +154,7 @@ class _Ranking:
 
     @classmethod
     def of(cls, score: NDArray[Any], theta_deg: NDArray[Any] | None, geometry: TruthGeometry) -> _Ranking:
-        order = _descending(_image(score, geometry.grid, "score"))
+        order = rank_order(_image(score, geometry.grid, "score"))
         values: NDArray[Any] = np.zeros(1)
         if theta_deg is None:
             level = np.zeros(order.size, np.intp)
@@ -353,17 +354,6 @@ def _image(image: NDArray[Any], grid: VoxelGrid, name: str) -> NDArray[Any]:
     if not np.isfinite(values).all():
         raise DataError(f"{name}: {np.count_nonzero(~np.isfinite(values))} of {grid.size} values are not finite")
     return values.ravel()
-
-
-def _descending(score: NDArray[Any]) -> Integers:
-    """Order of the scores, highest first, ties by index: for float32 one sort of whole numbers (score, index)."""
-    if score.dtype != np.float32:
-        return np.argsort(-score.astype(float), kind="stable")
-    bits = (score + np.float32(0)).view(np.int32)  # + 0 makes −0 and 0 equal
-    rising = bits ^ ((bits >> 31) & 0x7FFFFFFF)
-    key = ((~rising).astype(np.int64) << 32) | np.arange(score.size)
-    key.sort()
-    return np.asarray(key & 0xFFFFFFFF, np.intp)
 
 
 def _nearest(voxels: Floats, targets: Floats) -> Floats:

@@ -123,7 +123,7 @@ def reconstruct(cir: Cir, settings: ImagingSettings | None = None) -> Image:
         raise DataError(
             f"no peak in any of the {len(views)} chosen views; lower peaks.threshold_sigma or raise the SNR"
         )
-    profiles = make_profiles(settings.method, front, settings, cir.extent_m, grid.range_span_m(views.positions_m))
+    profiles = make_profiles(settings.method, front, settings, cir.extent_m, grid.range_span_m(cir.views.positions_m))
     result = project(grid, views, profiles)
     score = result.total if settings.method == "bp" else result.total / np.float32(len(views))
     occupied = None

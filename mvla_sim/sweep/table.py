@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -49,7 +48,7 @@ def build_table(cases: Sequence[Case], rows: Mapping[str, Row]) -> pd.DataFrame:
 
 
 def write_table(table: pd.DataFrame, folder: Path) -> list[Path]:
-    """Write ``table.csv``, and ``table.parquet`` where pyarrow is installed; return what was written.
+    """Write ``table.csv`` and ``table.parquet``; return what was written.
 
     Raises
     ------
@@ -59,12 +58,9 @@ def write_table(table: pd.DataFrame, folder: Path) -> list[Path]:
     csv, parquet = folder / FILE, folder / "table.parquet"
     with atomic_output(csv) as temporary:
         table.to_csv(temporary, index=False, float_format="%.9g")
-    if importlib.util.find_spec("pyarrow") is None:
-        parquet.unlink(missing_ok=True)  # of an earlier table
-        return [csv]
     mixed = [name for name in table.columns if table[name].dropna().map(type).nunique() > 1]
     with atomic_output(parquet) as temporary:
-        table.astype(dict.fromkeys(mixed, str)).to_parquet(temporary, index=False)
+        table.astype(dict.fromkeys(mixed, str)).to_parquet(temporary, engine="pyarrow", index=False)
     return [csv, parquet]
 
 

@@ -1,0 +1,271 @@
+"""Running: the same numbers however it is done, nothing done twice, nothing lost."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import sqlite3
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+from sweep_files import AXES, experiment, numbers
+
+from mvla_sim.channel.simulate import cache_file, simulate
+from mvla_sim.errors import OutputError, RuntimeUnfitError
+from mvla_sim.evaluation.evaluate import evaluate
+from mvla_sim.imaging.pipeline import reconstruct
+from mvla_sim.sweep import run as module
+from mvla_sim.sweep.batch import Batch, prepare, run_batch
+from mvla_sim.sweep.case import Row
+from mvla_sim.sweep.plan import expand
+from mvla_sim.sweep.run import RunInterruptedError, images_of, run_experiment, run_plan
+from mvla_sim.sweep.schedule import tasks_of
+from mvla_sim.sweep.store import FILE, Store, identity
+from mvla_sim.sweep.survey import survey
+from mvla_sim.sweep.table import load_table
+
+MANY = 'interval_deg = [30.0]\noffset = "all"\nseed = [0, 1, 2, 3]\nmethod = ["mvla-gr", "bp"]\n'
+
+
+def in_process(plan, cases=None):
+    """Rows of a plan, computed here."""
+    rows = []
+    for task in tasks_of(plan, cases or plan.cases, 1):
+        simulate(task.scene)
+        channel = prepare(cache_file(task.scene), *task.key[1:], with_amplitude=task.with_amplitude)
+        rows += run_batch(Batch(channel, task.cases))
+    return {row.key: row for row in rows}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run of all cases with one worker: plan, folder, table."""
+    folder = tmp_path_factory.mktemp("finished")
+    settings = experiment(folder)
+    return expand(settings), folder / "out", run_experiment(settings, folder / "out", workers=1)
+
+
+def test_every_case_is_done_and_the_files_say_so(finished):
+    _, folder, table = finished
+    assert list(table["status"]) == ["done"] * 8
+    assert list(table["case"]) == list(range(8))
+    assert np.isfinite(table["cd_db"]).all()
+    assert sorted(path.name for path in folder.iterdir() if path.suffix != ".parquet") == [
+        ".lock",
+        "experiment.json",
+        FILE,
+        "table.csv",
+    ]
+    pd.testing.assert_frame_equal(load_table(folder), table, check_dtype=False, rtol=1e-8)  # nine digits in the file
+    assert table["cd_db"].nunique() == 8
+
+
+def test_a_sweep_gives_what_one_image_at_a_time_gives(finished):
+    """Bit for bit where a case uses every view; a subset's own range axis may begin a node later, and round anew."""
+    plan, _, table = finished
+    cir = simulate(next(iter(plan.scenes.values())))
+    for case, row in zip(plan.cases, table.to_dict("records"), strict=True):
+        alone = evaluate(reconstruct(cir, case.imaging), case.evaluation).as_dict()
+        if case.values["interval_deg"] == 10.0:
+            assert {name: row[name] for name in alone} == alone
+        else:
+            assert row["cd_db"] == pytest.approx(alone["cd_db"], abs=0.05)  # a voxel or two of equal rank
+
+
+@pytest.mark.parametrize("fine", [False, True])
+def test_the_number_of_workers_changes_no_number(finished, tmp_path, monkeypatch, fine):
+    """Neither does how the cases are cut into batches."""
+    plan, _, table = finished
+    if fine:
+        monkeypatch.setattr("mvla_sim.sweep.schedule.LEAST_BATCH_S", 0.0)
+        monkeypatch.setattr("mvla_sim.sweep.schedule.BATCHES_PER_WORKER", 3)
+    other = run_plan(plan, tmp_path / "out", workers=2)
+    pd.testing.assert_frame_equal(numbers(other.table), numbers(table), check_exact=True)
+    assert other.notes == ()
+
+
+def test_order_and_company_change_no_number(finished):
+    """A case alone gives what it gives among others, in any order."""
+    plan, _, table = finished
+    backwards = in_process(plan, plan.cases[::-1])
+    alone = in_process(plan, plan.cases[5:6])
+    for case, row in zip(plan.cases, table.to_dict("records"), strict=True):
+        assert {name: row[name] for name in backwards[case.key].metrics} == backwards[case.key].metrics
+    assert alone[plan.cases[5].key].metrics == backwards[plan.cases[5].key].metrics
+
+
+def test_a_run_does_only_what_is_missing(finished, tmp_path):
+    """Cases that are stored keep the very time they once took; only the deleted ones get a new one."""
+    plan, _, table = finished
+    folder = tmp_path / "out"
+    first = run_plan(plan, folder, workers=1).table
+    with sqlite3.connect(folder / FILE) as database:
+        for number in (1, 6):
+            database.execute("DELETE FROM cases WHERE key = ?", (plan.cases[number].key,))
+    database.close()
+    assert survey(plan, folder, 2).done == 6
+    again = run_plan(plan, folder, workers=1).table
+    assert list(again.index[again["seconds"] != first["seconds"]]) == [1, 6]
+    pd.testing.assert_frame_equal(numbers(again), numbers(table), check_exact=True)
+
+
+def test_a_finished_run_starts_no_worker(finished, monkeypatch):
+    plan, folder, table = finished
+    monkeypatch.setattr(module, "Pool", None)
+    monkeypatch.setattr(module, "simulate", None)
+    pd.testing.assert_frame_equal(run_plan(plan, folder).table, table)
+
+
+def test_values_added_to_an_axis_are_all_that_runs(finished, tmp_path):
+    _, folder, _ = finished
+    more = expand(experiment(tmp_path, AXES.replace("[0, 1]", "[0, 7, 1]")))
+    found = survey(more, folder, 1)
+    assert (found.cases, found.done, found.failed) == (12, 8, 0)
+    assert found.measured
+    assert [channel.cached for channel in found.channels] == [True]
+
+
+def test_failing_cases_are_recorded_and_the_others_go_on(tmp_path):
+    """No peak is 10⁶ standard deviations strong; backprojection needs none."""
+    axes = 'method = ["mvla-gr", "bp"]\nthreshold_sigma = [1e6, 4.0]\n'
+    plan = expand(experiment(tmp_path, axes))
+    result = run_plan(plan, tmp_path / "out", workers=1)
+    assert list(result.table["status"]) == ["failed", "done", "done", "done"]
+    assert result.table["error"][0].startswith("DataError: no peak in any of 36 views")
+    assert "Traceback" not in result.table["error"][0]
+    assert math.isnan(result.table["cd_db"][0])
+    assert (result.count("failed"), result.count("missing")) == (1, 0)
+    assert survey(plan, tmp_path / "out", 1).failed == 1  # tried again next time
+
+
+def test_a_scene_that_cannot_be_traced_fails_its_own_cases_alone(tmp_path):
+    plan = expand(experiment(tmp_path, '"scene.ray_tracing.max_paths" = [1, 1000000]\nmethod = ["mvla-gr", "bp"]\n'))
+    result = run_plan(plan, tmp_path / "out", workers=1)
+    assert list(result.table["status"]) == ["failed", "failed", "done", "done"]
+    assert "max_paths" in result.table["error"][0]
+
+
+def test_given_thresholds_are_used_and_nothing_is_searched(tmp_path, monkeypatch):
+    plan = expand(experiment(tmp_path, 'method = ["bp"]\n', "[evaluation.threshold]\ntop_percent = 3.0\n"))
+    monkeypatch.setattr("mvla_sim.evaluation.evaluate.optimal_thresholds", None)
+    (row,) = in_process(plan).values()
+    assert row.status == "done"
+    assert row.metrics["protocol"] == "given"
+    assert row.metrics["n_reconstruction"] == 48  # 3 % of 1600
+    assert "optimal_cd_db" not in row.metrics
+
+
+def test_images_for_pictures_are_those_of_the_table(finished):
+    plan, _, table = finished
+    wanted = [plan.cases[6], plan.cases[1]]
+    shown = list(images_of(plan, wanted))
+    assert [outcome.case.number for outcome in shown] == [6, 1]
+    # The profiles are computed here with as many threads as linear algebra likes, hence not to the last bit.
+    assert [outcome.evaluation.cd_db for outcome in shown] == pytest.approx(list(table["cd_db"][[6, 1]]), abs=0.05)
+
+
+@pytest.mark.parametrize("damage", ["truncated", "a flipped bit"])
+def test_a_damaged_cir_is_noticed_and_traced_again(finished, tmp_path, damage):
+    plan, _, table = finished
+    file = cache_file(next(iter(plan.scenes.values())))
+    content = bytearray(file.read_bytes())
+    if damage == "truncated":
+        content = content[: len(content) // 2]
+    else:
+        with h5py.File(file) as opened:
+            content[opened["delay"].id.get_chunk_info(0).byte_offset + 40] ^= 1
+    file.write_bytes(content)
+    result = run_plan(plan, tmp_path / "out", workers=1)
+    assert result.notes == ("scene box: the cached CIR was damaged and was traced again",)
+    # The same paths in another order: powers agree to float32, and CD but for a voxel of nearly equal rank.
+    assert result.table["cd_db"].to_numpy() == pytest.approx(table["cd_db"].to_numpy(), abs=0.1)
+
+
+def test_a_second_run_is_refused_before_it_does_anything(finished):
+    plan, folder, _ = finished
+    with (
+        Store.open(folder, identity(plan)),
+        pytest.raises(OutputError, match="another run is at work here"),
+    ):
+        run_plan(plan, folder)
+
+
+def kill_a_worker():
+    multiprocessing.active_children()[0].kill()
+
+
+def keep_then(monkeypatch, count, act):
+    """Let ``act`` happen when the run keeps its ``count``-th row."""
+    kept = []
+    original = Store.add
+
+    def add(self, row: Row):
+        original(self, row)
+        kept.append(row)
+        if len(kept) == count:
+            act()
+
+    monkeypatch.setattr(Store, "add", add)
+
+
+def test_ctrl_c_keeps_what_is_finished_and_writes_the_table(tmp_path, monkeypatch):
+    plan = expand(experiment(tmp_path, MANY))
+    expected = in_process(plan)
+
+    def stop():
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        keep_then(patch, 5, stop)
+        with pytest.raises(RunInterruptedError, match=r"5 of 24 cases are stored .* run the same command") as raised:
+            run_plan(plan, tmp_path / "out", workers=1)
+    assert raised.value.exit_code == 130
+    assert multiprocessing.active_children() == []
+    partial = load_table(tmp_path / "out")
+    assert sorted(partial["status"].value_counts().to_dict().items()) == [("done", 5), ("missing", 19)]
+    table = run_plan(plan, tmp_path / "out", workers=1).table
+    assert (table["status"] == "done").all()
+    assert list(table["cd_db"]) == pytest.approx([expected[key].metrics["cd_db"] for key in table["key"]], abs=0.05)
+
+
+def test_a_worker_that_dies_takes_one_case_with_it(tmp_path, monkeypatch):
+    plan = expand(experiment(tmp_path, MANY))
+    with monkeypatch.context() as patch:
+        keep_then(patch, 3, kill_a_worker)
+        result = run_plan(plan, tmp_path / "out", workers=1)
+    assert result.count("missing") <= 1  # none where it had just finished its batch
+    assert result.count("done") >= 23
+    assert len(result.notes) == result.count("missing")
+    assert all("killed by signal 9" in note for note in result.notes)
+    assert run_plan(plan, tmp_path / "out", workers=1).count("done") == 24
+
+
+def test_workers_that_keep_dying_end_the_run(tmp_path, monkeypatch):
+    plan = expand(experiment(tmp_path, MANY))
+    monkeypatch.setattr(module, "MOST_DEATHS", 1)
+    keep_then(monkeypatch, 1, kill_a_worker)
+    with pytest.raises(RuntimeUnfitError, match="worker processes died"):
+        run_plan(plan, tmp_path / "out", workers=1)
+    assert (load_table(tmp_path / "out")["status"] == "done").sum() >= 1
+
+
+def test_a_full_disk_ends_the_run_and_keeps_what_was_stored(tmp_path, monkeypatch):
+    """SQLite's own page limit stands for the disk."""
+    plan = expand(experiment(tmp_path, MANY))
+    original = Store.add
+
+    def add(self, row):
+        if self._database.execute("SELECT count(*) FROM cases").fetchone()[0] == 4:
+            self.flush()
+            self._database.execute("PRAGMA max_page_count = 1")  # the file's own size: not a page more
+            row = Row(row.key, row.status, "x" * 10_000)
+        original(self, row)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "add", add)
+        with pytest.raises(OutputError, match="no space left on the disk"):
+            run_plan(plan, tmp_path / "out", workers=1)
+    assert survey(plan, tmp_path / "out", 1).done == 4
+    assert run_plan(plan, tmp_path / "out", workers=1).count("done") == 24

@@ -1,0 +1,190 @@
+"""Tables, and thresholds calibrated with them."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pandas as pd
+import pytest
+from sweep_files import experiment
+
+from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.sweep.calibration import average_thresholds
+from mvla_sim.sweep.case import Row
+from mvla_sim.sweep.plan import expand
+from mvla_sim.sweep.table import build_table, load_table, write_table
+
+METRICS = {"views": 36, "protocol": "optimal", "top_percent": 2.5, "min_support_deg": 0.0, "cd_db": -math.inf}
+
+
+def plan_and_rows(folder, axes='seed = [0, 1, 2]\nsnr_db = ["none", 5.0]\n'):
+    plan = expand(experiment(folder, axes))
+    rows = [Row(case.key, "done", "", 0.5, METRICS | {"cd_db": 0.1 * case.number}) for case in plan.cases]
+    return plan, {row.key: row for row in rows}
+
+
+def test_one_row_a_case_and_every_setting_and_metric_a_column(tmp_path):
+    plan, rows = plan_and_rows(tmp_path)
+    table = build_table(plan.cases, rows)
+    assert list(table.columns[:8]) == ["case", "key", "status", "error", "seconds", "scene", "seed", "snr_db"]
+    assert list(table.columns[-5:]) == list(METRICS)
+    assert list(table["case"]) == list(range(6))
+    assert list(table["imaging.noise.seed"]) == [0, 0, 1, 1, 2, 2]
+    assert table["imaging.grid.spacing_m"].eq(0.1).all()
+    assert table["scene.ray_tracing.diffuse_rays"].eq(300).all()
+    assert table["scene.objects.0.side_m"].eq(2.0).all()
+    assert table["snr_db"].isna().tolist() == [True, False] * 3
+
+
+def test_failed_and_missing_cases_are_rows_too(tmp_path):
+    plan, rows = plan_and_rows(tmp_path)
+    rows[plan.cases[0].key] = Row(plan.cases[0].key, "failed", "DataError: no, really", 0.1)
+    del rows[plan.cases[4].key]
+    table = build_table(plan.cases, rows)
+    assert list(table["status"]) == ["failed", "done", "done", "done", "missing", "done"]
+    assert list(table["error"]) == ["DataError: no, really", "", "", "", "", ""]
+    assert table["cd_db"].isna().tolist() == [True, False, False, False, True, False]
+
+
+def test_nothing_stored_is_a_table_of_missing_cases(tmp_path):
+    plan, _ = plan_and_rows(tmp_path)
+    assert list(build_table(plan.cases, {})["status"]) == ["missing"] * 6
+
+
+def test_a_table_comes_back_from_its_file(tmp_path):
+    plan, rows = plan_and_rows(tmp_path)
+    rows[plan.cases[1].key] = Row(plan.cases[1].key, "done", "", 0.5, METRICS | {"cd_db": -math.inf})
+    rows[plan.cases[2].key] = Row(plan.cases[2].key, "failed", 'DataError: "a", b', 0.1)
+    table = build_table(plan.cases, rows)
+    files = write_table(table, tmp_path)
+    assert files[0] == tmp_path / "table.csv"
+    # An empty column has no type in CSV, and numbers have nine digits there.
+    pd.testing.assert_frame_equal(load_table(tmp_path), table, check_dtype=False, rtol=1e-8)
+
+
+def test_parquet_holds_the_same_table(tmp_path):
+    plan, rows = plan_and_rows(tmp_path)
+    table = build_table(plan.cases, rows)
+    (tmp_path / "table.parquet").write_bytes(b"of an earlier run")
+    files = write_table(table, tmp_path)
+    pd.testing.assert_frame_equal(pd.read_parquet(files[1]), table, check_dtype=False)
+
+
+@pytest.mark.parametrize("content", [None, "", "a,b\n1,2\n", "\x00\xff"])
+def test_what_is_no_table_is_refused(tmp_path, content):
+    if content is not None:
+        (tmp_path / "table.csv").write_bytes(content.encode("latin-1"))
+    with pytest.raises(DataError, match=r"table\.csv"):
+        load_table(tmp_path)
+
+
+def test_calibration_weighs_every_interval_the_same():
+    """By hand: one offset and two seeds at 10°, means 2 and 15; two offsets at 30°, means 5 and 60; so 3.5 and 37.5."""
+    rows = [
+        (10.0, 0, 0, 1.0, 10.0),
+        (10.0, 0, 1, 3.0, 20.0),
+        (30.0, 0, 0, 4.0, 30.0),
+        (30.0, 0, 1, 4.0, 50.0),
+        (30.0, 1, 0, 6.0, 70.0),
+        (30.0, 1, 1, 6.0, 90.0),
+    ]
+    columns = ["interval_deg", "offset", "seed", "top_percent", "min_support_deg"]
+    table = pd.DataFrame([("bp", *row) for row in rows], columns=["method", *columns])
+    found = average_thresholds(table, ["method"], ["interval_deg", "offset", "seed"])
+    assert found.to_dict("records") == [{"method": "bp", "top_percent": 3.5, "min_support_deg": 37.5}]
+
+
+def source(folder, **changes):
+    """A finished experiment 'first' beside others: p is 1 + the SNR for BP, 2 + the SNR for MVLA-GR."""
+    axes = 'interval_deg = [10.0, 30.0]\noffset = "all"\nseed = [0, 1]\nsnr_db = ["none", 5.0]\n'
+    axes += 'method = ["bp", "mvla-gr"]\n'
+    plan = expand(experiment(folder, axes))
+    rows = {}
+    for case in plan.cases:
+        voting = case.values["method"] != "bp"
+        percent = 1 + voting + (case.values["snr_db"] or 0.0)
+        metrics = METRICS | {"top_percent": percent, "min_support_deg": 30.0 * voting} | changes
+        rows[case.key] = Row(case.key, "done", "", 0.5, metrics)
+    (folder / "results" / "first").mkdir(parents=True)
+    write_table(build_table(plan.cases, rows), folder / "results" / "first")
+    record = {"settings": plan.experiment.model_dump(mode="json")}
+    (folder / "results" / "first" / "experiment.json").write_text(json.dumps(record))
+    return plan, rows
+
+
+CALIBRATION = '[calibration]\nfrom = "first"\n'
+SECOND = 'snr_db = [5.0, "none"]\ninterval_deg = [20.0, 30.0]\nmethod = ["mvla-gr", "bp"]\n'
+
+
+def test_calibrated_cases_use_the_averages_of_the_other_experiment(tmp_path):
+    source(tmp_path)
+    plan = expand(experiment(tmp_path, SECOND, CALIBRATION), tmp_path / "results" / "second")
+    found = {
+        (case.values["snr_db"], case.values["method"], case.values["interval_deg"]): case.evaluation.threshold
+        for case in plan.cases
+    }
+    assert len(found) == 8
+    for (snr, method, _), threshold in found.items():
+        assert threshold.top_percent == pytest.approx(1 + (method != "bp") + (snr or 0.0))  # a mean of equal numbers
+        assert threshold.min_support_deg == (0.0 if method == "bp" else 30.0)
+
+
+def test_a_fixed_setting_stands_for_the_axis_of_the_other_experiment(tmp_path):
+    source(tmp_path)
+    overrides = ("imaging.noise.snr_db=5.0", "imaging.method=bp")
+    plan = expand(experiment(tmp_path, "seed = [0]\n", CALIBRATION, overrides), tmp_path / "results" / "second")
+    assert plan.cases[0].evaluation.threshold.top_percent == 6.0
+
+
+def test_calibrated_keys_follow_the_thresholds(tmp_path):
+    source(tmp_path / "a")
+    source(tmp_path / "b", top_percent=9.0)
+    keys = [
+        {c.key for c in expand(experiment(tmp_path / x, SECOND, CALIBRATION), tmp_path / x / "results" / "s").cases}
+        for x in ("a", "b")
+    ]
+    assert len(keys[0]) == 8
+    assert keys[0].isdisjoint(keys[1])
+
+
+def test_calibration_without_its_table_is_one_line(tmp_path):
+    settings = experiment(tmp_path, SECOND, CALIBRATION)
+    with pytest.raises(DataError, match=r"first/table\.csv: no such table .* run the experiment first"):
+        expand(settings, tmp_path / "results" / "second")
+
+
+def test_calibration_with_values_the_other_experiment_lacks_is_refused(tmp_path):
+    source(tmp_path)
+    settings = experiment(tmp_path, "snr_db = [7.0]\n", CALIBRATION)
+    with pytest.raises(ConfigError, match=r"has no case with scene = box, snr_db = 7\.0"):
+        expand(settings, tmp_path / "results" / "second")
+
+
+def test_calibration_with_an_unfinished_table_is_refused(tmp_path):
+    plan, rows = source(tmp_path)
+    del rows[plan.cases[3].key]
+    write_table(build_table(plan.cases, rows), tmp_path / "results" / "first")
+    with pytest.raises(DataError, match=r"1 of \d+ cases of .* are not done"):
+        expand(experiment(tmp_path, SECOND, CALIBRATION), tmp_path / "results" / "second")
+
+
+def test_calibration_with_given_thresholds_is_refused(tmp_path):
+    source(tmp_path, protocol="given")
+    with pytest.raises(DataError, match="were given, not optimised"):
+        expand(experiment(tmp_path, SECOND, CALIBRATION), tmp_path / "results" / "second")
+
+
+@pytest.mark.parametrize(
+    ("axes", "more", "said"),
+    [
+        (SECOND, CALIBRATION + "[evaluation.threshold]\ntop_percent = 1.0\n", "both give thresholds"),
+        ('"evaluation.threshold.top_percent" = [1.0]\n', CALIBRATION, "both give thresholds"),
+        (SECOND, CALIBRATION + 'over = ["intervall"]\n', "'intervall' names no setting"),
+        (SECOND, CALIBRATION + "over = []\n", "calibration.over"),
+        (SECOND, '[calibration]\nfrom = "../first"\n', "calibration.from"),
+    ],
+)
+def test_a_calibration_that_cannot_be_is_refused(tmp_path, axes, more, said):
+    with pytest.raises(ConfigError, match=said):
+        experiment(tmp_path, axes, more)
