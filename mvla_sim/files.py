@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from mvla_sim.errors import DataError, OutputError
+from mvla_sim.runtime.interrupt import interruptible
 
 __all__ = ["atomic_output", "check_writable", "existing_file"]
 
@@ -27,24 +28,18 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
         The folder is missing, read-only or full, or ``path`` is a folder; the message names ``path``.
     """
     target = Path(path)
-    if target.is_dir():
-        raise OutputError(f"{target}: is a folder; give the name of a file")
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
-    except OSError as error:
-        raise OutputError(_reason(target, error)) from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(target)
-    except OSError as error:
-        raise OutputError(_reason(target, error)) from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    with interruptible():
+        temporary = _temporary_beside(target)
+        try:
+            yield temporary
+            umask = os.umask(0)
+            os.umask(umask)
+            temporary.chmod(0o666 & ~umask)
+            temporary.replace(target)
+        except OSError as error:
+            raise OutputError(_reason(target, error)) from error
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
@@ -55,15 +50,20 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     OutputError
         As :func:`atomic_output` would later.
     """
-    target = Path(path)
-    if target.is_dir():
-        raise OutputError(f"{target}: is a folder; give the name of a file")
+    with interruptible():
+        _temporary_beside(Path(path)).unlink()
+
+
+def _temporary_beside(target: Path) -> Path:
+    """Make an empty file beside ``target``, with its suffix."""
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", dir=target.parent)
+        if target.is_dir():
+            raise OutputError(f"{target}: is a folder; give the name of a file")
+        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
     except OSError as error:
         raise OutputError(_reason(target, error)) from error
     os.close(handle)
-    Path(name).unlink()
+    return Path(name)
 
 
 def existing_file(path: str | os.PathLike[str], what: str) -> Path:
@@ -82,13 +82,17 @@ def existing_file(path: str | os.PathLike[str], what: str) -> Path:
         Missing, a folder, unreadable or empty.
     """
     file = Path(path)
+    try:
+        size = file.stat().st_size
+    except FileNotFoundError as error:
+        raise DataError(f"{file}: no such {what}") from error
+    except OSError as error:
+        raise DataError(f"{file}: not readable ({error.strerror})") from error
     if file.is_dir():
         raise DataError(f"{file}: is a folder, not a {what}")
-    if not file.exists():
-        raise DataError(f"{file}: no such {what}")
     if not os.access(file, os.R_OK):
         raise DataError(f"{file}: not readable")
-    if file.stat().st_size == 0:
+    if size == 0:
         raise DataError(f"{file}: is empty, not a {what}")
     return file
 

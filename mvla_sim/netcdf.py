@@ -28,8 +28,9 @@ def write_netcdf(dataset: xr.Dataset, path: str | os.PathLike[str], packed: Iter
         The file cannot be written.
     """
     encoding = {name: _PACKED for name in packed if dataset[name].size}
+    content = dataset.to_netcdf(engine="h5netcdf", encoding=encoding)  # in memory: HDF5 crashes where a disk is full
     with atomic_output(path) as temporary:
-        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+        temporary.write_bytes(content)
 
 
 def open_netcdf(path: str | os.PathLike[str], schema: str, version: int, variables: Iterable[str]) -> xr.Dataset:

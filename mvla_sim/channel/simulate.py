@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+import logging
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 from mvla_sim.channel import raytrace
 from mvla_sim.channel.cir import SCHEMA_VERSION, Cir
 from mvla_sim.channel.raytrace import ViewPaths, ViewTracer
-from mvla_sim.errors import DataError, MvlaError
+from mvla_sim.errors import DataError, MvlaError, OutputError
 from mvla_sim.runtime.cache import cache_folder
 from mvla_sim.runtime.interrupt import deferred_interrupt
 from mvla_sim.runtime.progress import progress
@@ -97,8 +98,11 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
             f"diffraction, or raise the ray counts and the scattering coefficient"
         )
     if kept is not None and partial is not None:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        cir.save(kept)
+        try:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            cir.save(kept)
+        except (OSError, OutputError) as error:  # the result is whole; only the next run will have to trace again
+            logging.getLogger("mvla_sim").warning("mvla: note: not cached: %s", error)
         partial.unlink(missing_ok=True)
     return cir
 

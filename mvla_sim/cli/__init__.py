@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import sys
 
+from mvla_sim.runtime.interrupt import end_on_interrupt
+
 __all__ = ["main"]
 
 
 def main() -> None:
     """Entry point of ``mvla``."""
+    end_on_interrupt()
     from mvla_sim.cli.app import run  # noqa: PLC0415 - keeps importing the package free of the command line
 
     sys.exit(run(sys.argv[1:]))

@@ -11,6 +11,7 @@ from typer.exceptions import TyperException
 
 from mvla_sim import __version__
 from mvla_sim.errors import ConfigError, MvlaError
+from mvla_sim.runtime.interrupt import INTERRUPTED
 
 __all__ = ["app", "run"]
 
@@ -34,9 +35,6 @@ Output = Annotated[Path, typer.Option("--output", "-o", help="File to write.")]
 SceneFile = Annotated[Path, typer.Argument(help="A scene file (TOML), as in scenes/.")]
 
 
-_INTERRUPTED = 130
-
-
 def run(arguments: list[str]) -> int:
     """Run the command line and return its exit code; errors of the package are one line and code 2."""
     if arguments in ([], ["scene"]):
@@ -50,11 +48,11 @@ def run(arguments: list[str]) -> int:
         errors.print(f"mvla: error: {error}", markup=False)
         return error.exit_code
     except (KeyboardInterrupt, typer.Abort):
-        code = _INTERRUPTED
+        code = INTERRUPTED
     except MemoryError as error:
         errors.print(f"mvla: error: out of memory ({error}); use a coarser grid or fewer rays", markup=False)
         return 2
-    if code == _INTERRUPTED:  # Typer turns Ctrl-C into this code and says nothing
+    if code == INTERRUPTED:  # Typer turns Ctrl-C into this code and says nothing
         errors.print("mvla: stopped; finished files are whole, nothing half-written is left", markup=False)
     return code if isinstance(code, int) else 0
 

@@ -57,7 +57,13 @@ def draw_images(files: Sequence[Path], output: Path) -> None:
             raise DataError(f"{files[0]}: images without an outline are drawn one at a time")
         save_figure(plot_image(images[0], occupied=images[0].occupied), output)
         return
-    results = [evaluate(image) for image in images]
+    try:
+        results = [evaluate(image) for image in images]
+    except DataError:  # the outline reaches out of the grid: a part of the target can be looked at, not scored
+        if len(images) > 1:
+            raise
+        save_figure(plot_image(images[0], occupied=images[0].occupied), output)
+        return
     masks = [r.occupied if i.occupied is None else i.occupied for i, r in zip(images, results, strict=True)]
     if len(images) == 1:
         save_figure(plot_image(images[0], results[0].truth, masks[0]), output)

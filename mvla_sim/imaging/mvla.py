@@ -9,6 +9,7 @@ from mvla_sim.config.imaging import MvlaSettings
 from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import RangeProfiles
+from mvla_sim.runtime.memory import check_memory
 
 __all__ = ["hard_profiles", "kernel_scales", "likelihood_profiles"]
 
@@ -17,6 +18,7 @@ _SAMPLES_PER_SIGMA = 16
 _NEGLIGIBLE_SIGMAS = 6.5
 """Beyond it the kernel is below 10⁻⁹, a hundredth of float32's resolution of a score, and is not evaluated."""
 _FAR_M = 1e6
+_BYTES_PER_NODE = 24  # value and distance, with copies in float64 while they are made
 
 
 def kernel_scales(settings: MvlaSettings, resolution_m: float, extent_m: float) -> tuple[float, float]:
@@ -52,12 +54,13 @@ def likelihood_profiles(peaks: Peaks, sigma_m: float, radius_m: float, span_m: t
     -------
     RangeProfiles
         The projector adds q only where the nearest peak is within R_T. That makes the support indicator b_mn, and the
-        outer edge of the truncated kernel, exact to float32; so q itself is continued by one node beyond R_T. Only
+        outer edge of the truncated kernel, exact to float32, save midway between peaks 2·R_T apart to within a node;
+        so q itself is continued by one node beyond R_T. Only
         where kernels of two peaks overlap *and* R_T is so short (below about 3.7 σ_R) that the truncated kernel jumps,
         the inner edge is resolved to two nodes.
     """
     step = sigma_m / _SAMPLES_PER_SIGMA
-    start, count = _axis(span_m, step)
+    start, count = _axis(span_m, step, peaks.n_view)
     reach = min(radius_m + step, _NEGLIGIBLE_SIGMAS * sigma_m)
     half = int(np.ceil(reach / step)) + 1
     around = np.arange(-half, half + 1)
@@ -81,15 +84,21 @@ def likelihood_profiles(peaks: Peaks, sigma_m: float, radius_m: float, span_m: t
 def hard_profiles(peaks: Peaks, tolerance_m: float, span_m: tuple[float, float]) -> RangeProfiles:
     """Profiles of the hard vote: 1 where some |R_mi − r| ≤ ε_R (``eq:event_hard``, ``eq:hard_posterior``)."""
     step = tolerance_m / _SAMPLES_PER_SIGMA
-    start, count = _axis(span_m, step)
+    start, count = _axis(span_m, step, peaks.n_view)
     values = np.ones((peaks.n_view, count), np.float32)
     return RangeProfiles(values, start, step, _nearest(peaks, start, step, count), tolerance_m)
 
 
-def _axis(span_m: tuple[float, float], step: float) -> tuple[float, int]:
+def _axis(span_m: tuple[float, float], step: float, n_view: int) -> tuple[float, int]:
     """First range and number of nodes of an axis that covers a span."""
     first = int(np.floor(span_m[0] / step)) - 1
-    return first * step, int(np.ceil(span_m[1] / step)) - first + 2
+    count = int(np.ceil(span_m[1] / step)) - first + 2
+    check_memory(
+        _BYTES_PER_NODE * n_view * count,
+        f"range profiles of {n_view} views at steps of {step:.2g} m",
+        "raise mvla.kappa (or mvla.tolerance_m) {factor:.2g} times, or make the grid smaller",
+    )
+    return first * step, count
 
 
 def _nearest(peaks: Peaks, start: float, step: float, count: int) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mvla_sim.config.imaging import NoiseSettings
 from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.pdp import Pdp
+from mvla_sim.imaging.pdp import Pdp, frequency_count, window_weights
 from mvla_sim.streams import Stream, stream
 
 __all__ = ["add_noise"]
@@ -29,7 +29,10 @@ def add_noise(pdp: Pdp, settings: NoiseSettings) -> Pdp:
       AWGN tools with 'measured' power do. The noise has zero mean, so the result may be negative.
     * ``exponential``: P + n, n exponential of mean √(⟨P²⟩/(2ρ)), so that ⟨n²⟩ = ⟨P²⟩/ρ: noise power behind a square-law
       detector that does not beat with the signal.
-    * ``complex``: |h + n|², n circular Gaussian of power ⟨|h|²⟩/ρ.
+    * ``complex``: |h + n|², n circular Gaussian of power ⟨|h|²⟩/ρ, of the signal's own band and window.
+
+    The first two are white on the profile's axis, as the paper adds them to its PDPs, so the noise in a resolution cell
+    falls as ``pdp.oversampling`` rises; ``complex`` does not depend on it.
 
     Raises
     ------
@@ -44,9 +47,8 @@ def add_noise(pdp: Pdp, settings: NoiseSettings) -> Pdp:
     if settings.kind == "complex":
         if pdp.amplitude is None:
             raise ConfigError("noise.kind = 'complex' needs complex amplitudes; these profiles hold power only")
-        scale = np.sqrt(_mean(pdp.power, settings) / (2 * ratio))
-        draw = np.array([g.standard_normal(2 * count) for g in generators])
-        amplitude = pdp.amplitude + scale[:, None] * (draw[:, :count] + 1j * draw[:, count:])
+        scale = np.sqrt(_mean(pdp.power, settings) / ratio)
+        amplitude = pdp.amplitude + scale[:, None] * np.array([_band_noise(g, pdp) for g in generators])
         return replace(pdp, power=np.abs(amplitude) ** 2, amplitude=amplitude)
     second_moment = _mean(pdp.power**2, settings) / ratio
     if settings.kind == "exponential":
@@ -54,6 +56,18 @@ def add_noise(pdp: Pdp, settings: NoiseSettings) -> Pdp:
         return replace(pdp, power=pdp.power + np.sqrt(second_moment / 2)[:, None] * draw, amplitude=None)
     draw = np.array([g.standard_normal(count) for g in generators])
     return replace(pdp, power=pdp.power + np.sqrt(second_moment)[:, None] * draw, amplitude=None)
+
+
+def _band_noise(random: np.random.Generator, pdp: Pdp) -> NDArray[np.complex128]:
+    """Circular Gaussian noise of mean power 1 that is white over the band before the window, ``[n_range]``."""
+    samples = pdp.power.shape[1]
+    count = frequency_count(samples, pdp.oversampling)
+    weights = window_weights(pdp.window, count)
+    draw = random.standard_normal(2 * count)
+    length = count * pdp.oversampling
+    noise = np.fft.ifft(weights * (draw[:count] + 1j * draw[count:]), length)[:samples]
+    center = np.exp(-1j * np.pi * (count - 1) / length * np.arange(samples))  # the band is centred on the carrier
+    return np.asarray(noise * center * (length / np.sqrt(2 * (weights**2).sum())), np.complex128)
 
 
 def _mean(values: NDArray[np.float64], settings: NoiseSettings) -> NDArray[np.float64]:

@@ -11,11 +11,13 @@ from mvla_sim.channel.cir import Cir
 from mvla_sim.config.imaging import PdpSettings
 from mvla_sim.constants import range_resolution, range_to_delay
 from mvla_sim.errors import DataError
+from mvla_sim.runtime.memory import check_memory
 from mvla_sim.scene.grid import VoxelGrid
 
-__all__ = ["Pdp", "compute_pdp", "gate_for", "window_broadening", "window_weights"]
+__all__ = ["Pdp", "compute_pdp", "frequency_count", "gate_for", "window_broadening", "window_weights"]
 
 _MARGIN_CELLS = 16  # resolution cells kept on both sides of the gate, so that the DFT's wrap-around stays outside it
+_BYTES_PER_SAMPLE = 96  # amplitude and power, noise, and copies of them while they are made
 _COSINES = {"rectangular": (1.0,), "hann": (0.5, 0.5), "hamming": (0.54, 0.46), "blackman": (0.42, 0.5, 0.08)}
 
 
@@ -36,6 +38,8 @@ class Pdp:
         ΔR = c/(2B), metres.
     broadening
         Width of the window's main lobe relative to that of no window (its equivalent noise bandwidth).
+    window, oversampling
+        As in the settings: what noise of the same band looks like.
     """
 
     power: NDArray[np.float64]
@@ -44,6 +48,8 @@ class Pdp:
     step_m: float
     resolution_m: float
     broadening: float
+    window: str = "rectangular"
+    oversampling: int = 1
 
     @property
     def range_m(self) -> NDArray[np.float64]:
@@ -105,8 +111,13 @@ def compute_pdp(cir: Cir, settings: PdpSettings, gate_m: tuple[float, float]) ->
     step = resolution / settings.oversampling
     first = max(0, int(np.floor(gate_m[0] / step)) - 1)  # a spare sample at both ends: the gate's own ends lie inside
     count = int(np.ceil(gate_m[1] / step)) + 1 - first + 1
+    check_memory(
+        _BYTES_PER_SAMPLE * cir.n_view * float(count),
+        f"pdp.gate_m = [{gate_m[0]:g}, {gate_m[1]:g}]: profiles of {cir.n_view} views at steps of {step:.2g} m",
+        "narrow the gate {factor:.2g} times",
+    )
     margin = _MARGIN_CELLS * settings.oversampling
-    frequencies = -(-(count + 2 * margin) // settings.oversampling)
+    frequencies = frequency_count(count, settings.oversampling)
     weights = window_weights(settings.window, frequencies)
     spacing_hz = cir.bandwidth_hz / frequencies
     lowest_hz = -(frequencies - 1) / 2 * spacing_hz
@@ -136,7 +147,13 @@ def compute_pdp(cir: Cir, settings: PdpSettings, gate_m: tuple[float, float]) ->
         impulse = np.fft.ifft(spectrum, length)[margin : margin + count]
         amplitude[view] = impulse * turn * (length / weights.sum())
     power = amplitude.real**2 + amplitude.imag**2
-    return Pdp(power, amplitude, first * step, step, resolution, window_broadening(settings.window))
+    broadening = window_broadening(settings.window)
+    return Pdp(power, amplitude, first * step, step, resolution, broadening, settings.window, settings.oversampling)
+
+
+def frequency_count(samples: int, oversampling: int) -> int:
+    """Number of frequencies K over the band for an axis of ``samples`` and the margins on both sides of it."""
+    return -(-(samples + 2 * _MARGIN_CELLS * oversampling) // oversampling)
 
 
 def _power_sums(gain: NDArray[np.complex128], base: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:

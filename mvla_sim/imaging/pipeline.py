@@ -16,7 +16,7 @@ from mvla_sim.imaging.mvla import hard_profiles, kernel_scales, likelihood_profi
 from mvla_sim.imaging.noise import add_noise
 from mvla_sim.imaging.pdp import Pdp, compute_pdp, gate_for
 from mvla_sim.imaging.peaks import Peaks, extract_peaks
-from mvla_sim.imaging.projection import RangeProfiles, check_memory, project
+from mvla_sim.imaging.projection import RangeProfiles, check_grid, project
 from mvla_sim.imaging.threshold import joint_threshold
 from mvla_sim.runtime.provenance import provenance
 from mvla_sim.scene.grid import VoxelGrid
@@ -114,7 +114,7 @@ def reconstruct(cir: Cir, settings: ImagingSettings | None = None) -> Image:
     """
     settings = settings or ImagingSettings()
     grid = VoxelGrid.from_settings(settings.grid)
-    check_memory(grid)
+    check_grid(grid)
     chosen = select_views(cir.views, settings.views)
     front = front_end(cir, settings, grid)
     views = cir.views.select(chosen)

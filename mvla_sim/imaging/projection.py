@@ -9,10 +9,11 @@ import psutil
 from numpy.typing import NDArray
 
 from mvla_sim.errors import ConfigError
+from mvla_sim.runtime.memory import USABLE, check_memory
 from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.trajectory import Views
 
-__all__ = ["Projection", "RangeProfiles", "check_memory", "project"]
+__all__ = ["Projection", "RangeProfiles", "check_grid", "project"]
 
 _BYTES_PER_VOXEL = 32  # score and Θ as float32, their copies while an image is made, ranked and written
 _BLOCK = 1 << 18  # voxels a kernel call: enough to fill the cores, few enough to stay in cache and memory
@@ -76,23 +77,23 @@ class Projection:
     support_deg: NDArray[np.float32] | None
 
 
-def check_memory(grid: VoxelGrid) -> None:
+def check_grid(grid: VoxelGrid) -> None:
     """Refuse a grid whose images do not fit into the free memory.
 
     Raises
     ------
     ConfigError
-        The size, what is free, and a spacing that fits.
+        The size, what is free, and by how much the grid is too large.
     """
-    need, free = grid.size * _BYTES_PER_VOXEL, psutil.virtual_memory().available
-    if need > 0.8 * free:
-        dimensions = sum(n > 1 for n in grid.counts) or 1
-        fits = grid.spacing_m * (need / (0.8 * free)) ** (1 / dimensions)
-        nx, ny, nz = grid.counts
-        raise ConfigError(
-            f"grid.spacing_m = {grid.spacing_m:g}: {nx} × {ny} × {nz} voxels need {need / 2**30:.1f} GiB, "
-            f"{free / 2**30:.1f} GiB are free; a spacing of {fits:.2g} m fits"
-        )
+    nx, ny, nz = grid.counts
+    dimensions = sum(n > 1 for n in grid.counts) or 1
+    free = USABLE * psutil.virtual_memory().available
+    fits = grid.spacing_m * (grid.size * _BYTES_PER_VOXEL / free) ** (1 / dimensions)
+    check_memory(
+        grid.size * _BYTES_PER_VOXEL,
+        f"grid.spacing_m = {grid.spacing_m:g}: {nx} × {ny} × {nz} voxels",
+        f"a spacing of {fits:.2g} m fits",
+    )
 
 
 def project(grid: VoxelGrid, views: Views, profiles: RangeProfiles, *, block: int = _BLOCK) -> Projection:
@@ -128,7 +129,7 @@ def project(grid: VoxelGrid, views: Views, profiles: RangeProfiles, *, block: in
     """
     if profiles.n_view != len(views):
         raise ConfigError(f"projection: {profiles.n_view} profiles for {len(views)} views")
-    check_memory(grid)
+    check_grid(grid)
     from mvla_sim.imaging import kernels  # noqa: PLC0415 - compiles: only where something is projected
 
     t = kernels.BACKEND.arrays

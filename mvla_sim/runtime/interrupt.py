@@ -1,14 +1,43 @@
-"""Ctrl-C that waits for a whole piece of work: an interrupt inside a compiled loop would surface as another error."""
+"""Ctrl-C: at once where nothing is being written, after a whole piece of work where something is.
+
+An interrupt inside a compiled loop or a half-done import surfaces as another error, or aborts the process. So the
+command line ends at once on Ctrl-C, unless the program is in a block that asked for a KeyboardInterrupt or to wait.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
+from typing import Final
 
-__all__ = ["deferred_interrupt"]
+__all__ = ["INTERRUPTED", "deferred_interrupt", "end_on_interrupt", "interruptible"]
+
+INTERRUPTED: Final = 130
+"""Exit code after Ctrl-C."""
+_MESSAGE: Final = b"mvla: stopped; finished files are whole, nothing half-written is left\n"
+_SHOW_CURSOR: Final = b"\x1b[?25h"
+
+
+def end_on_interrupt() -> None:
+    """From now on, Ctrl-C prints one line and ends the process with code 130, without unwinding."""
+    signal.signal(signal.SIGINT, _end)
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """Within the block, Ctrl-C raises KeyboardInterrupt, so that the block can clean up."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not _end:
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, _end)
 
 
 @contextlib.contextmanager
@@ -38,3 +67,9 @@ def deferred_interrupt() -> Iterator[Callable[[], None]]:
         yield check
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    del number, frame
+    os.write(2, (_SHOW_CURSOR if os.isatty(2) else b"") + _MESSAGE)
+    os._exit(INTERRUPTED)

@@ -249,7 +249,9 @@ def _parse(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         vertices = np.asarray(loaded.vertices, np.float64).reshape(-1, 3)
         faces = np.asarray(getattr(loaded, "faces", ()), np.int64).reshape(-1, 3)
     except Exception as error:  # the parsers raise whatever a broken file trips over
-        reason = " ".join(str(error).split()) or type(error).__name__
+        # trimesh tries text where binary does not fit and then misses a module that guesses encodings
+        foreign = isinstance(error, ImportError) or not str(error).strip()
+        reason = "truncated, or of another format" if foreign else " ".join(str(error).split())
         raise DataError(f"{file}: is not a readable {kind.upper()} file: {reason}") from error
     return vertices, faces
 

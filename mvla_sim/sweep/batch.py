@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable, Hashable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -104,7 +104,7 @@ def prepare(file: Path, settings: PdpSettings, gate_m: tuple[float, float], *, w
     cir = _load(file, stamp)
     pdp = compute_pdp(cir, settings, gate_m)
     if not with_amplitude:
-        pdp = Pdp(pdp.power, None, pdp.start_m, pdp.step_m, pdp.resolution_m, pdp.broadening)
+        pdp = replace(pdp, amplitude=None)
     return Channel(cir.views, pdp, cir.extent_m, cir.outline)
 
 

@@ -15,6 +15,7 @@ from mvla_sim.channel.simulate import SimulationInterruptedError, cache_file, si
 from mvla_sim.config.experiment import ExperimentSettings
 from mvla_sim.errors import ConfigError, MvlaError, OutputError, RuntimeUnfitError
 from mvla_sim.files import atomic_output
+from mvla_sim.runtime.interrupt import interruptible
 from mvla_sim.runtime.machine import core_count
 from mvla_sim.runtime.progress import Advance, progress
 from mvla_sim.runtime.provenance import provenance
@@ -114,8 +115,9 @@ def run_plan(plan: Plan, folder: Path, *, workers: int | None = None, fresh: boo
         missing = missing_cases(plan, store.rows())
         runner = _Runner(plan, store)
         try:
-            if missing:
-                runner.run(missing, workers)
+            with interruptible():
+                if missing:
+                    runner.run(missing, workers)
         except BaseException as error:
             finished = "finished"
             with contextlib.suppress(MvlaError):  # what ended the run may also be in the way of its table

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mvla_sim.config.imaging import NoiseSettings, PdpSettings
 from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.noise import add_noise
-from mvla_sim.imaging.pdp import compute_pdp
+from mvla_sim.imaging.pdp import compute_pdp, window_weights
 from mvla_sim.streams import stream
 
 VIEWS = 40
@@ -48,6 +48,11 @@ def test_realised_snr_is_the_one_asked_for(clean, kind, reference, snr_db):
     signal = signal if reference == "view" else np.full(VIEWS, signal.mean())
     ratio = signal / noise / 10 ** (snr_db / 10)
     samples = clean.power.shape[1]
+    if (
+        kind == "complex"
+    ):  # of the window's spectrum W², so neighbours are alike: (Σ W²)²/(K Σ W⁴) of B·T are independent
+        weights = window_weights("hann", 4096)
+        samples *= (weights**2).mean() ** 2 / (weights**4).mean() / clean.oversampling
     spread = np.sqrt((kurtosis - 1) / samples)  # of a mean square of so many samples
     assert np.abs(ratio - 1).max() < 5 * spread
     assert abs(ratio.mean() - 1) < 5 * spread / np.sqrt(VIEWS) + spread**2  # 1/noise is biased by its variance
@@ -108,3 +113,19 @@ def test_view_without_signal_has_no_noise_by_view_and_the_common_noise_by_all(cl
 def test_complex_noise_needs_amplitudes(clean):
     with pytest.raises(ConfigError, match=r"noise\.kind = 'complex'"):
         add_noise(dataclasses.replace(clean, amplitude=None), NoiseSettings(kind="complex"))
+
+
+def test_complex_noise_is_the_same_whatever_the_oversampling():
+    """The noise's band is the signal's: read at every 1/B its mean power is the same for any oversampling. White noise
+    at the oversampled rate has that too, but not this: between those samples it would not be smooth."""
+    cir = random_channel(1, ring(VIEWS))
+    for oversampling in (2, 8):
+        clean = compute_pdp(cir, PdpSettings(oversampling=oversampling), (6.0, 14.0))
+        noisy = add_noise(clean, NoiseSettings(snr_db=0.0, kind="complex"))
+        noise = noisy.amplitude - clean.amplitude
+        neighbours = (noise[:, 1:] * noise[:, :-1].conj()).real.mean() / (np.abs(noise) ** 2).mean()
+        lag = 1 / oversampling
+        weights = window_weights("hann", 4096) ** 2
+        band = (np.arange(4096) + 0.5) / 4096 - 0.5
+        expected = (weights * np.cos(2 * np.pi * band * lag)).sum() / weights.sum()
+        assert neighbours == pytest.approx(expected, abs=0.05)  # over 1,000 independent cells

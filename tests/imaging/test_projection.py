@@ -17,7 +17,7 @@ from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.backprojection import backprojection_profiles
 from mvla_sim.imaging.mvla import hard_profiles, kernel_scales, likelihood_profiles
 from mvla_sim.imaging.pdp import Pdp
-from mvla_sim.imaging.projection import RangeProfiles, check_memory, project
+from mvla_sim.imaging.projection import RangeProfiles, check_grid, project
 from mvla_sim.scene.grid import VoxelGrid
 
 SIGMA, RADIUS = 0.025, 0.32  # the paper's κ = 0.5 and η = 0.04 at 3 GHz and D = 8 m
@@ -239,7 +239,7 @@ def test_bad_input_is_refused():
 
 def test_grid_too_large_for_the_memory_is_refused_with_one_that_fits():
     with pytest.raises(ConfigError, match=r"grid\.spacing_m = 1e-05.*GiB.*a spacing of .* m fits"):
-        check_memory(VoxelGrid((0, 0, 0), (10**6, 10**6, 1), 1e-5))
+        check_grid(VoxelGrid((0, 0, 0), (10**6, 10**6, 1), 1e-5))
 
 
 def test_projecting_needs_no_other_import_first():
