@@ -182,7 +182,7 @@ class Cir:
                     "view",
                     self.views.angles_deg,
                     {
-                        "long_name": "direction of the sensor from the target centre, counter-clockwise from +x",
+                        "long_name": "direction of the sensor from center, counter-clockwise from +x",
                         "units": "degree",
                     },
                 ),
@@ -192,7 +192,7 @@ class Cir:
                 "center": (
                     "xy",
                     np.asarray(self.views.center_m, np.float64),
-                    {"long_name": "target centre", "units": "m"},
+                    {"long_name": "centre of circle, arc or turntable, else of the target", "units": "m"},
                 ),
             },
             coords={"xyz": xyz, "view": np.arange(self.n_view), "xy": ["x", "y"]},

@@ -81,6 +81,20 @@ def doctor() -> None:
 
 
 @app.command()
+def settings() -> None:
+    """List every setting with its default and meaning."""
+    from rich.table import Table
+
+    from mvla_sim.config.listing import settings_of
+
+    for block, entries in settings_of().items():
+        table = Table("key", "default", "meaning", title=f"{block} settings", title_justify="left")
+        for entry in entries:
+            table.add_row(*entry)
+        out.print(table)
+
+
+@app.command()
 def simulate(
     scene: SceneFile,
     output: Output,

@@ -19,12 +19,15 @@ from mvla_sim.sweep.case import Case
 from mvla_sim.sweep.plan import Plan
 from mvla_sim.sweep.run import RunResult, images_of, run_plan
 from mvla_sim.sweep.survey import survey
+from mvla_sim.sweep.table import averaged
 
 __all__ = ["execute", "show_plan"]
 
 MOST_ROWS = 40
 """Longer tables are not printed."""
 FIRST_ERRORS = 3
+AVERAGED = ("offset", "seed")
+"""Axes that results are averaged over where they are shown."""
 
 
 def show_plan(plan: Plan, folder: Path, workers: int, out: Console) -> None:
@@ -60,7 +63,7 @@ def execute(
     result = run_plan(plan, folder, workers=workers, fresh=fresh)
     for note in result.notes:
         errors.print(f"mvla: note: {note}", markup=False)
-    pictures = [*_draw_shown(plan, folder), *_draw_curve(result.table, folder)]
+    pictures = [*_draw_shown(plan, folder), *_draw_curve(plan, result.table, folder)]
     _print(result.table, plan, out)
     for file in result.files:
         out.print(f"table:    {file}", markup=False)
@@ -118,13 +121,21 @@ def _draw_channel(plan: Plan, channel: str, folder: Path) -> list[Path]:
     return pictures
 
 
-def _draw_curve(table: pd.DataFrame, folder: Path) -> list[Path]:
-    """Draw CD against the interval where the table is such a curve: one case for each method and interval."""
+def _draw_curve(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
+    """Draw CD against the interval where that is all that varies, beside method, offset and seed."""
     axes = ["interval_deg", "method"]
-    if not {*axes, "cd_db"} <= set(table) or table["interval_deg"].nunique() < 2 or table.duplicated(axes).any():
+    others = [a for a in plan.experiment.axes if a not in (*axes, *AVERAGED)]
+    if others or len(plan.files) > 1 or not {*axes, "cd_db"} <= set(table) or table["interval_deg"].nunique() < 2:
         return []
     figure = plot_curves(
-        table, "interval_deg", "cd_db", "method", x_label="angular interval (°)", y_label="Chamfer distance (dB(m²))"
+        averaged(table, axes),
+        "interval_deg",
+        "cd_db",
+        "method",
+        low="cd_db_min",
+        high="cd_db_max",
+        x_label="angular interval (°)",
+        y_label="Chamfer distance (dB(m²))",
     )
     picture = folder / "cd-against-interval.png"
     save_figure(figure, picture)
@@ -156,16 +167,22 @@ def _rows_of(shown: Sequence[Outcome]) -> list[list[Outcome]]:
 
 
 def _print(table: pd.DataFrame, plan: Plan, out: Console) -> None:
-    """Print the main columns of a short table; the CSV has them all."""
-    if len(table) > MOST_ROWS:
+    """Print the main columns, averaged over offsets and seeds, if that makes a short table; the CSV has them all."""
+    heads = {"cd_db": "CD dB(m²)", "top_percent": "p %", "min_support_deg": "T_θ °", "f1_10cm": "F1 10 cm"}
+    variant = ["variant"] if "variant" in table else []
+    axes = ["scene", *variant, *(axis for axis in plan.experiment.axes if axis not in AVERAGED)]
+    shown = averaged(table, axes)
+    if len(shown) > MOST_ROWS or "cd_db" not in shown:
         out.print(f"{plan.experiment.name}: {len(table)} cases", markup=False)
         return
-    heads = {"cd_db": "CD dB(m²)", "top_percent": "p %", "min_support_deg": "T_θ °", "f1_10cm": "F1 10 cm"}
-    columns = ["scene", *plan.experiment.axes, *(key for key in heads if key in table)]
-    shown = Table(*(heads.get(key, key) for key in columns), title=plan.experiment.name)
-    for row in table.to_dict("records"):
-        shown.add_row(*(_text(row[key]) for key in columns))
-    out.print(shown)
+    columns = [*axes, "cases", *(key for key in heads if key in shown)]
+    title = f"{plan.experiment.name}: means over {' and '.join(a for a in AVERAGED if a in table)}"
+    grid = Table(
+        *(heads.get(key, key) for key in columns), title=title if len(table) > len(shown) else plan.experiment.name
+    )
+    for row in shown.to_dict("records"):
+        grid.add_row(*(_text(row[key]) for key in columns))
+    out.print(grid)
 
 
 def _text(value: Any) -> str:

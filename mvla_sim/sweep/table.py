@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output, existing_file
 from mvla_sim.sweep.case import Case, Row, setting_columns
 
-__all__ = ["FILE", "RECORD", "build_table", "load_table", "write_table"]
+__all__ = ["FILE", "RECORD", "averaged", "build_table", "load_table", "write_table"]
 
 FILE: Final = "table.csv"
 RECORD: Final = "experiment.json"
@@ -82,3 +83,23 @@ def load_table(folder: str | os.PathLike[str]) -> pd.DataFrame:
     for name in set(TEXT) & set(table.columns):
         table[name] = table[name].fillna("")
     return table
+
+
+def averaged(table: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
+    """Means of the numeric metrics over the finished cases that agree in ``axes``, in the order of the table.
+
+    ``cases`` says how many there are; ``cd_db_min`` and ``cd_db_max`` are the ends of their spread. A CD that is not
+    finite is left out of its mean.
+    """
+    done = table[table["status"] == "done"]
+    if done.empty or "cd_db" not in done:
+        return done
+    metrics = [
+        name for name in done.columns[done.columns.get_loc("views") :] if pd.api.types.is_numeric_dtype(done[name])
+    ]
+    finite = done.assign(cd_db=done["cd_db"].where(np.isfinite(done["cd_db"])))
+    groups = finite.groupby(list(axes), sort=False, dropna=False)
+    result = groups[metrics].mean()
+    result.insert(0, "cases", groups.size())
+    result["cd_db_min"], result["cd_db_max"] = groups["cd_db"].min(), groups["cd_db"].max()
+    return result.reset_index()

@@ -17,6 +17,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from mvla_sim.config.imaging import ImagingSettings
+from mvla_sim.config.listing import settings_of
+
 SCENE = """
 name = "small"
 [[objects]]
@@ -336,3 +339,15 @@ def test_a_part_of_the_target_can_be_looked_at(work):
     mvla("image", "cir.nc", *zoom, "-o", "zoom.nc", folder=work)
     mvla("plot", "zoom.nc", "-o", "zoom.png", folder=work)
     assert (work / "zoom.png").stat().st_size > 1000
+
+
+def test_settings_lists_what_can_be_set(tmp_path):
+    """Each key it names is accepted by ``--set``: the list is read from the models, not written beside them."""
+    listed = settings_of()
+    assert "noise.snr_db" in mvla("settings", folder=tmp_path)
+    for key, default, _ in listed["imaging"]:
+        node = ImagingSettings.model_validate({"threshold": {}})
+        for name in key.split("."):
+            node = getattr(node, name)
+        if key != "threshold" and not isinstance(node, tuple):
+            assert default in ("none", str(node), str(node).lower())

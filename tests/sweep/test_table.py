@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 
+import numpy as np
 import pandas as pd
 import pytest
 from sweep_files import experiment
@@ -13,7 +14,7 @@ from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.sweep.calibration import average_thresholds
 from mvla_sim.sweep.case import Row
 from mvla_sim.sweep.plan import expand
-from mvla_sim.sweep.table import build_table, load_table, write_table
+from mvla_sim.sweep.table import averaged, build_table, load_table, write_table
 
 METRICS = {"views": 36, "protocol": "optimal", "top_percent": 2.5, "min_support_deg": 0.0, "cd_db": -math.inf}
 
@@ -188,3 +189,20 @@ def test_calibration_with_given_thresholds_is_refused(tmp_path):
 def test_a_calibration_that_cannot_be_is_refused(tmp_path, axes, more, said):
     with pytest.raises(ConfigError, match=said):
         experiment(tmp_path, axes, more)
+
+
+def test_averages_are_over_finished_cases_that_agree():
+    table = pd.DataFrame(
+        {
+            "status": ["done", "done", "failed", "done"],
+            "method": ["bp", "bp", "bp", "mvla-gr"],
+            "offset": [0, 1, 2, 0],
+            "views": [4, 4, 4, 4],
+            "cd_db": [-10.0, -20.0, -99.0, float("-inf")],
+            "p": [1.0, 3.0, 9.0, 2.0],
+        }
+    )
+    bp, mvla = averaged(table, ["method"]).to_dict("records")
+    assert (bp["cases"], bp["cd_db"], bp["cd_db_min"], bp["cd_db_max"], bp["p"]) == (2, -15.0, -20.0, -10.0, 2.0)
+    assert np.isnan(mvla["cd_db"])
+    assert mvla["p"] == 2.0
