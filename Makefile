@@ -14,9 +14,9 @@ help:  ## list the targets
 
 venv: $(STAMP)  ## make the virtual environment VENV (.venv) and install into it
 
-reproduce: $(STAMP)  ## run the main experiment and draw every figure
-	$(BIN)/mvla run experiments/main.toml
-	@echo "Table and figures: results/main/"
+reproduce: $(STAMP)  ## run every experiment of the paper that is not stored yet, draw every figure, write the report
+	$(BIN)/mvla reproduce
+	@echo "Report: results/report.html; tables and figures of each experiment: results/*/"
 
 test: $(STAMP)  ## check style and types, then run every test
 	$(BIN)/ruff check .

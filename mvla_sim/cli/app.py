@@ -234,6 +234,30 @@ def run_experiment(
     raise typer.Exit(execute(plan, folder, out, errors, workers=workers, fresh=fresh))
 
 
+ResultsFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder of the results.")]
+
+
+@app.command()
+def reproduce(
+    output: ResultsFolder = Path("results"),
+    experiments: Annotated[Path, typer.Option(help="Folder with the experiment files.")] = Path("experiments"),
+    quick: Annotated[bool, typer.Option("--quick", help="One noise seed, no sensitivity study.")] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes; default one a core.")] = None,
+) -> None:
+    """Run every experiment of the paper that is not stored yet, judge its claims, and write the report."""
+    from mvla_sim.cli.reproduce import reproduce as run_all
+
+    raise typer.Exit(run_all(experiments, output, out, errors, quick=quick, workers=workers))
+
+
+@app.command()
+def report(output: ResultsFolder = Path("results")) -> None:
+    """Build figures, claims and the report page from stored results."""
+    from mvla_sim.cli.report import write_report
+
+    out.print(str(write_report(output)), markup=False)
+
+
 @scene_app.command(name="show")
 def scene_show(scene: SceneFile, output: Output, overrides: Overrides = None) -> None:
     """Draw a scene's outline, trajectory and ground truth (PNG, PDF, SVG)."""

@@ -94,6 +94,10 @@ class Tables:
     checks: Mapping[str, Any] = field(default_factory=dict)
 
 
+class _CannotTellError(Exception):
+    """The table does not hold what the claim is about."""
+
+
 Outcome = tuple[str, float, bool]
 """Figure in words, the figure, whether the rule is met."""
 
@@ -134,7 +138,10 @@ def _judge(number: str, tables: Tables, entry: _Entry) -> Claim:
         source = getattr(tables, entry.needs)
     if source is None or entry.measure is None:
         return Claim(number, entry.text, entry.rule, detail="the experiment was not run")
-    figure, measured, met = entry.measure(source)
+    try:
+        figure, measured, met = entry.measure(source)
+    except _CannotTellError as error:
+        return Claim(number, entry.text, entry.rule, detail=str(error))
     lost = _not_finite(source)
     detail = f"{lost} cases without a finite CD were left out" if lost else ""
     return Claim(number, entry.text, entry.rule, figure, measured, "holds" if met else "does not hold", detail)
@@ -267,6 +274,8 @@ def _c12(table: pd.DataFrame) -> Outcome:
 
 def _c13(table: pd.DataFrame) -> Outcome:
     means = _means(table, "snr_db", "interval_deg")[MVLA].unstack("snr_db")
+    if 5.0 not in means.index or means.shape[1] < 2 or len(means) < 2:
+        raise _CannotTellError("needs an interval of 5°, another one, and two SNRs")
     by_views = means.loc[[i for i in (1.0, 5.0, 10.0, 30.0) if i in means.index], means.columns.max()]
     by_snr = means.loc[5.0].sort_index()
     least = float(min(np.diff(by_views).min(), (-np.diff(by_snr)).min()))

@@ -130,3 +130,10 @@ def test_table_of_claims_has_a_row_each():
     table = claims_table(judge(Tables(**GOOD)))
     assert len(table) == 16
     assert {"number", "text", "rule", "figure", "measured", "verdict", "detail"} == set(table.columns)
+
+
+def test_a_table_without_what_a_claim_is_about_leaves_it_open():
+    table = GOOD["star_optimal"]
+    claim = next(c for c in judge(Tables(star_optimal=table[table["interval_deg"] != 5.0])) if c.number == "C13")
+    assert claim.verdict == "not tested"
+    assert "5°" in claim.detail

@@ -1,0 +1,100 @@
+"""``mvla reproduce`` and ``mvla report`` on experiments small enough to run in seconds."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mvla_sim.cli.reproduce import EXPERIMENTS, QUICK_OVERRIDES, QUICK_SKIPS
+from mvla_sim.config.experiment import load_experiment
+
+EXPERIMENT_FILES = Path(__file__).parents[2] / "experiments"
+SCENE = """
+name = "{name}"
+[[objects]]
+shape = "{name}"
+[trajectory]
+interval_deg = 30.0
+[ray_tracing]
+diffuse_rays = 300
+specular_rays = 2000
+"""
+GRID = "[imaging.grid]\nspacing_m = 0.25\n"
+STAR = 'snr_db = [0.0, 20.0]\nseed = [0, 1]\ninterval_deg = [30.0, 60.0]\nmethod = ["mvla-gr", "bp"]\n'
+VARIANTS = '[[variants]]\nlabel = "default"\n[[variants]]\nlabel = "3 σ"\nset = { threshold_sigma = 3.0 }\n'
+MAP = 'scenes = ["../scenes/circle.toml"]\n'
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    """A folder with scenes and one tiny experiment of each name."""
+    folder = tmp_path_factory.mktemp("work")
+    (folder / "scenes").mkdir()
+    (folder / "experiments").mkdir()
+    for name in ("star", "circle"):
+        (folder / "scenes" / f"{name}.toml").write_text(SCENE.format(name=name))
+    for name in EXPERIMENTS:
+        scenes = MAP if name in ("kappa-eta", "sensitivity-map") else 'scenes = ["../scenes/star.toml"]\n'
+        axes = "kappa = [0.5, 1.0]\neta = [0.0, 0.04]\nseed = [0]\n" if scenes == MAP else STAR
+        more = VARIANTS if name in QUICK_SKIPS else ""
+        more += '[calibration]\nfrom = "star-optimal"\n' if name == "star-calibrated" else ""
+        text = f'name = "{name}"\n{scenes}{GRID}[axes]\n{axes}{more}'
+        (folder / "experiments" / f"{name}.toml").write_text(text)
+    return folder
+
+
+def mvla(*arguments, folder, code=0):
+    command = [sys.executable, "-c", "from mvla_sim.cli import main; main()", *map(str, arguments)]
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+        env=os.environ | {"COLUMNS": "150"},
+    )
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_everything_runs_and_the_report_can_be_rebuilt_from_what_is_stored(work):
+    scene = work / "scenes" / "star.toml"
+    scene.write_text(scene.read_text().replace("interval_deg = 30.0", "interval_deg = 5.0"))  # the phase check wants 5°
+    text = mvla("reproduce", folder=work)
+    results = work / "results"
+    assert "report.html" in text
+    assert {p.name for p in results.iterdir() if p.is_dir()} == set(EXPERIMENTS)
+    checks = json.loads((results / "checks.json").read_text())
+    assert set(checks) == {"c15", "c16"}
+    assert max(checks["c16"]["largest_score_change"].values()) < 1e-5
+    assert set(json.loads((results / "run.json").read_text())["seconds"]) == {*EXPERIMENTS, "checks"}
+    page = (results / "report.html").read_bytes()
+    assert b"Not run." not in page
+    (results / "report.html").unlink()
+    mvla("report", folder=work)
+    assert (results / "report.html").read_bytes() == page
+
+
+def test_missing_experiment_is_refused_before_anything_runs(tmp_path):
+    text = mvla("reproduce", folder=tmp_path, code=2)
+    assert "experiments/main.toml: no such experiment file" in text
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_report_of_nothing_is_refused(tmp_path):
+    assert "holds no table" in mvla("report", "-o", tmp_path, folder=tmp_path, code=2)
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_the_repositorys_experiments_are_valid_also_when_quick(name):
+    settings = load_experiment(EXPERIMENT_FILES / f"{name}.toml", QUICK_OVERRIDES.get(name, ()))
+    assert settings.name == name
+    assert name not in QUICK_OVERRIDES or settings.axes["seed"] == (0,)

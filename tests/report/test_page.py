@@ -1,0 +1,159 @@
+"""The report page: whole in itself, well-formed, escaped, and readable in a browser at phone width."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import pandas as pd
+import pytest
+
+from mvla_sim.cli.report import write_report
+from mvla_sim.errors import DataError
+from mvla_sim.report.page import Section, table_html, write_page
+
+VOID = {"meta", "img", "br", "hr", "link", "input"}
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+class Reader(HTMLParser):
+    """Checks that tags balance, and collects pictures and what the page would load."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.images, self.loads = [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        found = dict(attributes)
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "img":
+            self.images.append(found)
+        self.loads += [v for k, v in found.items() if k in ("src", "href") and not v.startswith("data:")]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def read(path):
+    reader = Reader()
+    reader.feed(path.read_text(encoding="utf-8"))
+    assert reader.open == []
+    return reader
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """A small folder of results with made-up numbers."""
+    folder = tmp_path_factory.mktemp("results")
+    star = pd.DataFrame(
+        itertools.product((0.0, 10.0, 20.0), (0, 1), (1.0, 5.0, 10.0, 30.0), ("mvla-gr", "bp")),
+        columns=["snr_db", "seed", "interval_deg", "method"],
+    )
+    star = star.assign(
+        scene="star", status="done", case=range(len(star)), key=[f"k{n}" for n in range(len(star))], error="",
+        cd_db=-25 + star["interval_deg"] * 0.7 - 3 * (star["method"] == "mvla-gr") + 0.1 * star["seed"],
+        top_percent=1.0, min_support_deg=20 + star["snr_db"], area_m2=2.0,
+    )  # fmt: skip
+    maps = pd.DataFrame(
+        itertools.product(("circle", "<square>"), (0.3, 0.5), (0.0, 0.04)), columns=["scene", "kappa", "eta"]
+    )
+    maps = maps.assign(status="done", case=range(len(maps)), key="k", error="", cd_db=-20 - maps["kappa"] - maps["eta"])
+    for name, table in (
+        ("star-optimal", star),
+        ("star-calibrated", star.assign(cd_db=star["cd_db"] + 1)),
+        ("kappa-eta", maps),
+        ("sensitivity-star", pd.concat([star.assign(variant="default"), star.assign(variant="a & b")])),
+    ):
+        (folder / name).mkdir()
+        table.to_csv(folder / name / "table.csv", index=False)
+        (folder / name / "experiment.json").write_text(json.dumps({"settings": {"name": "<script>alert(1)</script>"}}))
+    (folder / "checks.json").write_text(json.dumps({"c16": {"largest_score_change": {"bp": 1e-8}}}))
+    (folder / "run.json").write_text(json.dumps({"seconds": {"main": 3.0}, "total_s": 3.0}))
+    return folder
+
+
+def test_report_is_whole_in_itself(results):
+    page = write_report(results)
+    reader = read(page)
+    assert reader.loads == []
+    assert len(reader.images) == 4  # maps, two sets of curves, sensitivity
+    for image in reader.images:
+        assert image["alt"]
+        assert base64.b64decode(image["src"].removeprefix("data:image/png;base64,")).startswith(b"\x89PNG")
+    text = page.read_text(encoding="utf-8")
+    assert "http" not in text
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+    assert "a &amp; b" in text
+    assert text.count("Not run.") == 1  # the examples
+    claims = pd.read_csv(results / "claims.csv")
+    assert claims["number"].tolist() == [f"C{n}" for n in range(1, 17)]
+    assert set(pd.read_csv(results / "thresholds.csv")["snr_db"]) == {0.0, 10.0, 20.0}
+
+
+def test_same_results_give_the_same_page(results):
+    first = write_report(results).read_bytes()
+    assert write_report(results).read_bytes() == first
+
+
+def test_folder_without_results_is_refused(tmp_path):
+    with pytest.raises(DataError, match="holds no table"):
+        write_report(tmp_path)
+
+
+def test_cells_are_escaped_and_verdicts_are_words():
+    text = table_html(pd.DataFrame({"a<b": ["<i>", "holds"], "n": [1.23456, float("nan")]}))
+    assert "a&lt;b" in text
+    assert "&lt;i&gt;" in text
+    assert "✓ holds" in text
+    assert "1.235" in text
+    assert "nan" not in text
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine; Debian has it in its package chromium")
+@pytest.mark.slow
+def test_a_browser_shows_the_report_at_phone_width(results, tmp_path):
+    """No error in the console, every picture loads, and nothing scrolls sideways at 380 px."""
+    page = write_report(results).read_text(encoding="utf-8")
+    assert "<script" not in page
+    (tmp_path / "probe.html").write_text(
+        '<!DOCTYPE html><meta charset="utf-8"><style>iframe { border: 0; width: 380px }</style><body><script>'
+        "window.onerror = e => console.error(e); const frame = document.createElement('iframe');"
+        f"frame.srcdoc = new TextDecoder().decode(Uint8Array.from(atob('{base64.b64encode(page.encode()).decode()}'), "
+        "c => c.charCodeAt(0))); frame.onload = () => { const inner = frame.contentDocument;"
+        "document.title = JSON.stringify({width: inner.documentElement.scrollWidth, seen: frame.clientWidth,"
+        "images: [...inner.images].map(i => i.complete && i.naturalWidth)}); }; document.body.append(frame);</script>",
+        encoding="utf-8",
+    )
+    flags = [
+        "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
+        "--disable-background-networking", "--disable-component-update", "--enable-logging=stderr",
+        "--virtual-time-budget=5000", "--dump-dom",
+    ]  # fmt: skip
+    done = subprocess.run(
+        [CHROMIUM, *flags, f"--user-data-dir={tmp_path / 'profile'}", (tmp_path / "probe.html").as_uri()],
+        capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    found = re.search(r"<title>(\{.*?\})</title>", done.stdout)
+    assert found, done.stdout[-500:]
+    measured = json.loads(found.group(1).replace("&quot;", '"'))
+    assert measured["seen"] == 380
+    assert measured["width"] <= 380
+    assert len(measured["images"]) == 4
+    assert all(width > 0 for width in measured["images"])
+    assert "CONSOLE" not in done.stderr
+
+
+def test_pictures_are_part_of_the_page(tmp_path):
+    picture = tmp_path / "one.png"
+    picture.write_bytes(b"\x89PNG...")
+    page = write_page(tmp_path / "p.html", "T & T", "lead", [Section("S", figures=[(picture, 'a "quoted" caption')])])
+    picture.unlink()
+    reader = read(page)
+    assert reader.images[0]["alt"] == 'a "quoted" caption'
