@@ -16,7 +16,7 @@ from mvla_sim.report.panels import plot_cd_panels, plot_examples, plot_parameter
 from mvla_sim.report.style import save_figure
 from mvla_sim.sweep.plan import Plan
 from mvla_sim.sweep.run import images_of
-from mvla_sim.sweep.table import FILE, RECORD, load_table
+from mvla_sim.sweep.table import FILE, PARQUET, RECORD, load_table
 
 __all__ = ["draw_examples", "write_report"]
 
@@ -163,7 +163,7 @@ def _record(folder: Path) -> Section:
 
 
 def _table(folder: Path) -> pd.DataFrame | None:
-    return load_table(folder) if (folder / FILE).exists() else None
+    return load_table(folder) if (folder / FILE).exists() or (folder / PARQUET).exists() else None
 
 
 def _json(file: Path) -> dict[str, Any]:

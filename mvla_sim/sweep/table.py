@@ -14,9 +14,11 @@ from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output, existing_file
 from mvla_sim.sweep.case import Case, Row, setting_columns
 
-__all__ = ["FILE", "RECORD", "averaged", "build_table", "load_table", "write_table"]
+__all__ = ["FILE", "PARQUET", "RECORD", "averaged", "build_table", "load_table", "write_table"]
 
 FILE: Final = "table.csv"
+PARQUET: Final = "table.parquet"
+WHAT: Final = "table of an experiment; run the experiment first"
 RECORD: Final = "experiment.json"
 """Settings and provenance, beside the table."""
 TEXT: Final = ("key", "status", "error", "scene", "reason", "protocol")
@@ -56,7 +58,7 @@ def write_table(table: pd.DataFrame, folder: Path) -> list[Path]:
     OutputError
         The folder cannot be written.
     """
-    csv, parquet = folder / FILE, folder / "table.parquet"
+    csv, parquet = folder / FILE, folder / PARQUET
     with atomic_output(csv) as temporary:
         table.to_csv(temporary, index=False, float_format="%.9g")
     mixed = [name for name in table.columns if table[name].dropna().map(type).nunique() > 1]
@@ -66,16 +68,20 @@ def write_table(table: pd.DataFrame, folder: Path) -> list[Path]:
 
 
 def load_table(folder: str | os.PathLike[str]) -> pd.DataFrame:
-    """Read the table of an experiment from its folder.
+    """Read the table of an experiment from its folder: ``table.csv`` or, where that is missing, ``table.parquet``.
 
     Raises
     ------
     DataError
         There is none, or it is no table of a sweep.
     """
-    file = existing_file(Path(folder) / FILE, "table of an experiment; run the experiment first")
+    csv, parquet = Path(folder) / FILE, Path(folder) / PARQUET
+    file = existing_file(parquet if parquet.exists() and not csv.exists() else csv, WHAT)
     try:
-        table = pd.read_csv(file, dtype=dict.fromkeys(TEXT, str), low_memory=False)
+        if file == parquet:
+            table = pd.read_parquet(file, engine="pyarrow")
+        else:
+            table = pd.read_csv(file, dtype=dict.fromkeys(TEXT, str), low_memory=False)
     except (ValueError, UnicodeDecodeError) as error:  # pandas' own errors are ValueErrors
         raise DataError(f"{file}: not a readable table ({error})") from error
     if not {"case", "key", "status"} <= set(table.columns):

@@ -70,6 +70,8 @@ def test_parquet_holds_the_same_table(tmp_path):
     (tmp_path / "table.parquet").write_bytes(b"of an earlier run")
     files = write_table(table, tmp_path)
     pd.testing.assert_frame_equal(pd.read_parquet(files[1]), table, check_dtype=False)
+    files[0].unlink()
+    pd.testing.assert_frame_equal(load_table(tmp_path), table, check_dtype=False)
 
 
 @pytest.mark.parametrize("content", [None, "", "a,b\n1,2\n", "\x00\xff"])
