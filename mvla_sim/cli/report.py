@@ -22,6 +22,8 @@ __all__ = ["draw_examples", "write_report"]
 
 EXAMPLE_CASES = [(20.0, i) for i in (1.0, 5.0, 10.0, 30.0)] + [(snr, 5.0) for snr in (15.0, 10.0, 5.0, 0.0)]
 """(SNR in dB, interval in degrees) of the paper's eight example panels."""
+_MAP_COLUMNS = {"scene", "kappa", "eta", "cd_db"}
+_STAR_COLUMNS = {"snr_db", "interval_deg", "method", "cd_db", "top_percent", "min_support_deg", "area_m2"}
 LEAD = "Built by mvla-sim from stored results. Thresholds called optimal are found with the ground truth."
 
 
@@ -163,7 +165,15 @@ def _record(folder: Path) -> Section:
 
 
 def _table(folder: Path) -> pd.DataFrame | None:
-    return load_table(folder) if (folder / FILE).exists() or (folder / PARQUET).exists() else None
+    """Finished cases of an experiment; None where there is no table, or too little of it for any figure."""
+    if not ((folder / FILE).exists() or (folder / PARQUET).exists()):
+        return None
+    table = load_table(folder)
+    done = table[table["status"] == "done"]
+    needed = _MAP_COLUMNS if {"kappa", "eta"} <= set(table.columns) else _STAR_COLUMNS
+    if done.empty or not needed <= set(table.columns):
+        return None
+    return done if needed is _MAP_COLUMNS or set(done["method"]) >= {"mvla-gr", "bp"} else None
 
 
 def _json(file: Path) -> dict[str, Any]:

@@ -157,7 +157,10 @@ def _not_finite(source: Any) -> int:
 def _means(table: pd.DataFrame, *axes: str) -> pd.DataFrame:
     """Mean CD by ``axes``, a column a method."""
     finite = table[np.isfinite(table["cd_db"].astype(float))]
-    return pd.DataFrame(finite.groupby([*axes, "method"])["cd_db"].mean().unstack("method"))
+    means = pd.DataFrame(finite.groupby([*axes, "method"])["cd_db"].mean().unstack("method"))
+    if not {MVLA, BP} <= set(means.columns):
+        raise _CannotTellError("needs finished cases of both methods")
+    return means
 
 
 def _calibrated(table: pd.DataFrame) -> pd.DataFrame:

@@ -107,6 +107,19 @@ def test_folder_without_results_is_refused(tmp_path):
         write_report(tmp_path)
 
 
+@pytest.mark.parametrize("content", ["case,key,status\n0,a,done\n", "case,key,status,cd_db,method\n0,a,failed,,bp\n"])
+def test_tables_without_a_usable_case_count_as_not_run(results, tmp_path, content):
+    """An experiment that was stopped, or of which every case failed, must not keep the others from being shown."""
+    shutil.copytree(results / "kappa-eta", tmp_path / "kappa-eta")
+    (tmp_path / "star-optimal").mkdir()
+    (tmp_path / "star-optimal" / "table.csv").write_text(content)
+    text = write_report(tmp_path).read_text(encoding="utf-8")
+    assert text.count("Not run.") == 5
+    claims = pd.read_csv(tmp_path / "claims.csv").set_index("number")["verdict"]
+    assert claims["C3"] == "not tested"
+    assert claims["C1"] != "not tested"
+
+
 def test_cells_are_escaped_and_verdicts_are_words():
     text = table_html(pd.DataFrame({"a<b": ["<i>", "holds"], "n": [1.23456, float("nan")]}))
     assert "a&lt;b" in text
