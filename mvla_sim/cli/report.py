@@ -6,14 +6,16 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from mvla_sim.errors import DataError
+from mvla_sim.evaluation.averages import mean_advantage
 from mvla_sim.evaluation.claims import Claim, Tables, claims_table, judge, thresholds_table
 from mvla_sim.files import atomic_output
 from mvla_sim.report.page import Section, pretty, table_html, write_page
-from mvla_sim.report.panels import plot_cd_panels, plot_examples, plot_parameter_maps, plot_verdicts
-from mvla_sim.report.style import save_figure
+from mvla_sim.report.panels import parameter_maps, plot_cd_panels, plot_examples, plot_parameter_maps, plot_verdicts
+from mvla_sim.report.style import png_bytes, save_figure
 from mvla_sim.sweep.plan import Plan
 from mvla_sim.sweep.run import images_of
 from mvla_sim.sweep.table import FILE, PARQUET, RECORD, load_table
@@ -24,6 +26,19 @@ EXAMPLE_CASES = [(20.0, i) for i in (1.0, 5.0, 10.0, 30.0)] + [(snr, 5.0) for sn
 """(SNR in dB, interval in degrees) of the paper's eight example panels."""
 _MAP_COLUMNS = {"scene", "kappa", "eta", "cd_db"}
 _STAR_COLUMNS = {"snr_db", "interval_deg", "method", "cd_db", "top_percent", "min_support_deg", "area_m2"}
+_HEADS = {
+    "snr_db": "SNR (dB)",
+    "mvla_top_percent": "MVLA-GR p (%)",
+    "paper_mvla_top_percent": "paper",
+    "mvla_min_support_deg": "MVLA-GR T_θ (°)",
+    "paper_mvla_min_support_deg": "paper ",
+    "bp_top_percent": "BP p (%)",
+    "paper_bp_top_percent": "paper  ",
+    "mvla_area_m2": "MVLA-GR area (m²)",
+    "mvla_optimal_area_m2": "at its optima (m²)",
+    "bp_area_m2": "BP area (m²)",
+}
+"""Heads of the table of thresholds; columns of one head differ by blanks."""
 LEAD = "Built by mvla-sim from stored results. Thresholds called optimal are found with the ground truth."
 
 
@@ -42,13 +57,15 @@ def write_report(folder: Path) -> Path:
     if all(table is None for table in found.values()):
         raise DataError(f"{folder}: holds no table of an experiment; run mvla reproduce first")
     checks = _json(folder / "checks.json")
-    claims = judge(Tables(found["kappa-eta"], found["star-optimal"], found["star-calibrated"], checks))
+    optimal, calibrated = found["star-optimal"], found["star-calibrated"]
+    claims = judge(Tables(found["kappa-eta"], optimal, calibrated, checks))
     _csv(claims_table(claims), folder / "claims.csv")
     sections = [
+        _keys(claims, optimal, _json(folder / "run.json"), _unfinished(found)),
         _claims(claims),
         _maps(folder, found["kappa-eta"]),
         *(_curves(folder, name, found[name]) for name in ("star-optimal", "star-calibrated")),
-        _thresholds(folder, found["star-optimal"]),
+        _thresholds(folder, optimal, calibrated),
         _examples(folder),
         _sensitivity(folder, found["sensitivity-star"], found["sensitivity-map"]),
         _record(folder),
@@ -82,11 +99,46 @@ def draw_examples(plan: Plan, folder: Path) -> list[Path]:
     return drawn
 
 
+def _keys(claims: list[Claim], optimal: pd.DataFrame | None, run: dict[str, Any], unfinished: str) -> Section:
+    """The figures that say most, and what is not finished."""
+    by_number = {claim.number: claim for claim in claims if claim.verdict != "not tested"}
+    held = sum(claim.verdict == "holds" for claim in by_number.values())
+    keys = [(f"{held} of {len(by_number)}", "claims of the paper that could be tested here hold")]
+    if "C1" in by_number:
+        keys.append((f"{by_number['C1'].measured:.1f} dB", "from the paper's (κ, η) down to the smallest averaged CD"))
+    if "C3" in by_number:
+        keys.append((f"{100 * by_number['C3'].measured:.0f} %", "of (SNR, Δθ) conditions in which MVLA-GR beats BP"))
+    if optimal is not None:
+        means = optimal[np.isfinite(optimal["cd_db"].astype(float))]
+        snr = means["snr_db"].max()
+        means = means[means["snr_db"] == snr].groupby(["interval_deg", "method"])["cd_db"].mean().unstack("method")
+        for interval in sorted({1.0, 5.0, 30.0} & set(means.dropna().index)):
+            pair = f"{means.loc[interval, 'mvla-gr']:.1f} / {means.loc[interval, 'bp']:.1f} dB".replace("-", "−")
+            keys.append((pair, f"mean CD of MVLA-GR / BP at {interval:g}° and {snr:g} dB, optimal thresholds"))
+    if "total_s" in run:
+        keys.append((f"{run['total_s'] / 60:.1f} min", "to run all of it" + (" (quick)" if run.get("quick") else "")))
+    return Section("Key figures", keys=keys, warning=unfinished)
+
+
+def _unfinished(found: dict[str, pd.DataFrame | None]) -> str:
+    """Say which experiments have cases that failed or are missing, and the first error of each."""
+    parts = []
+    for name, table in found.items():
+        if table is None or (table["status"] == "done").all():
+            continue
+        rest = table[table["status"] != "done"]
+        errors = [text for text in rest.get("error", pd.Series(dtype=str)).fillna("") if text]
+        why = f" ({errors[0]})" if errors else ""
+        parts.append(f"{name}: {len(rest)} of {len(table)} cases failed or are missing{why}")
+    return f"Not finished: {'; '.join(parts)}. Figures and verdicts rest on the other cases." if parts else ""
+
+
 def _claims(claims: list[Claim]) -> Section:
     table = claims_table(claims)[["number", "verdict", "text", "figure", "rule", "detail"]]
     count = {word: sum(c.verdict == word for c in claims) for word in ("holds", "does not hold", "not tested")}
-    text = f"{count['holds']} claims hold, {count['does not hold']} do not, {count['not tested']} were not tested here."
-    return Section("What the paper claims", text, tables=[table_html(table)])
+    text = f"{count['holds']} hold, {count['does not hold']} do not hold, {count['not tested']} not tested here."
+    table.columns = pd.Index(["claim", "verdict", "the paper says", "measured here", "rule", "note"])
+    return Section("What the paper claims", text, tables=[table_html(table, stack=True)])
 
 
 def _maps(folder: Path, table: pd.DataFrame | None) -> Section:
@@ -95,9 +147,13 @@ def _maps(folder: Path, table: pd.DataFrame | None) -> Section:
         return Section(title, "Not run.")
     picture = folder / "kappa-eta.png"
     save_figure(plot_parameter_maps(table), picture)
-    return Section(
-        title, figures=[(picture, "Smallest CD over every p and T_θ for each (κ, η), at 72 views and 20 dB")]
+    names = list(parameter_maps(table))
+    pictures = [(png_bytes(plot_parameter_maps(table, name)), f"CD over κ and η, {name}") for name in names]
+    caption = (
+        "Smallest CD over every p and T_θ for each (κ, η), at 72 views and 20 dB, in dB(m²); first the average of the "
+        "targets. Circle: smallest; cross: the paper's point. One colour scale for all."
     )
+    return Section(title, figures=[(pictures, caption)])
 
 
 def _curves(folder: Path, name: str, table: pd.DataFrame | None) -> Section:
@@ -107,20 +163,27 @@ def _curves(folder: Path, name: str, table: pd.DataFrame | None) -> Section:
         return Section(title, "Not run.")
     picture = folder / f"{name}.png"
     save_figure(plot_cd_panels(table), picture)
+    levels = sorted(table.loc[np.isfinite(table["cd_db"].astype(float)), "snr_db"].unique())
+    pictures = [
+        (png_bytes(plot_cd_panels(table, only=snr)), f"CD against Δθ at {snr:g} dB, {kind} thresholds")
+        for snr in levels
+    ]
     caption = f"CD against Δθ under {kind} thresholds; lines: means over offsets and seeds, bands: 10 to 90 %"
-    return Section(title, figures=[(picture, caption)])
+    return Section(title, figures=[(pictures, caption)])
 
 
-def _thresholds(folder: Path, table: pd.DataFrame | None) -> Section:
+def _thresholds(folder: Path, table: pd.DataFrame | None, calibrated: pd.DataFrame | None) -> Section:
     title = "Calibrated thresholds"
     if table is None:
         return Section(title, "Not run.")
-    thresholds = thresholds_table(table)
+    thresholds = thresholds_table(table, calibrated)
     _csv(thresholds, folder / "thresholds.csv")
     text = (
-        "p is per cent of all voxels and depends on the grid, the retained area does not. The paper's grid is unknown."
+        "p is per cent of all voxels and depends on the grid, the retained area does not. The paper's grid is unknown. "
+        "MVLA-GR's p is before the test Θ ≥ T_θ, its area after it."
     )
-    return Section(title, text, tables=[table_html(thresholds)])
+    shown = thresholds.rename(columns=_HEADS)[list(_HEADS.values())]
+    return Section(title, text, tables=[table_html(shown)])
 
 
 def _examples(folder: Path) -> Section:
@@ -139,9 +202,14 @@ def _sensitivity(folder: Path, star: pd.DataFrame | None, maps: pd.DataFrame | N
         part = None if maps is None else maps[maps["variant"] == variant]
         claims = judge(Tables(kappa_eta=part, star_optimal=star[star["variant"] == variant]))
         rows[variant] = {claim.number: claim.verdict for claim in claims}
-        figures = {claim.number: claim.figure for claim in claims}
+        measured = {claim.number: claim.measured for claim in claims}
         gaps.append(
-            {"variant": variant, "κ and η": figures["C1"], "advantage": figures["C4"], "densest": figures["C5"]}
+            {
+                "variant": variant,
+                "(0.5, 0.04) above the minimum (dB)": measured["C1"],
+                "mean advantage of MVLA-GR (dB)": mean_advantage(star[star["variant"] == variant]),
+                "advantage at the densest (dB)": measured["C5"],
+            }
         )
     verdicts = pd.DataFrame(rows).T
     verdicts = verdicts.loc[:, (verdicts != "not tested").any()]
@@ -150,7 +218,10 @@ def _sensitivity(folder: Path, star: pd.DataFrame | None, maps: pd.DataFrame | N
     _csv(verdicts.rename_axis("variant").reset_index(), folder / "sensitivity.csv")
     text = "Each row departs from the default settings in one point, on a smaller sweep of one seed and one offset."
     return Section(
-        title, text, [(picture, "Verdicts by departure from the default settings")], [table_html(pd.DataFrame(gaps))]
+        title,
+        text,
+        [(picture, "Verdicts by departure from the default settings")],
+        [table_html(pd.DataFrame(gaps), digits=3)],
     )
 
 
@@ -165,7 +236,7 @@ def _record(folder: Path) -> Section:
 
 
 def _table(folder: Path) -> pd.DataFrame | None:
-    """Finished cases of an experiment; None where there is no table, or too little of it for any figure."""
+    """Cases of an experiment, failed ones too; None where there is no table, or too little of it for any figure."""
     if not ((folder / FILE).exists() or (folder / PARQUET).exists()):
         return None
     table = load_table(folder)
@@ -173,7 +244,7 @@ def _table(folder: Path) -> pd.DataFrame | None:
     needed = _MAP_COLUMNS if {"kappa", "eta"} <= set(table.columns) else _STAR_COLUMNS
     if done.empty or not needed <= set(table.columns):
         return None
-    return done if needed is _MAP_COLUMNS or set(done["method"]) >= {"mvla-gr", "bp"} else None
+    return table if needed is _MAP_COLUMNS or set(done["method"]) >= {"mvla-gr", "bp"} else None
 
 
 def _json(file: Path) -> dict[str, Any]:

@@ -1,8 +1,10 @@
 """The paper's claims as functions of result tables: a measured figure, the rule it is judged by, and a verdict.
 
-Rules are fixed here, in words and numbers, before any table is read; none is bent to pass. Tables are those of the
-experiments ``kappa-eta``, ``star-optimal`` and ``star-calibrated``. Means are over offsets and seeds, of dB values,
-as in the paper; a CD that is not finite is left out of its mean and counted in the claim's detail.
+Rules are fixed here, in words and numbers; none is bent to pass. One was made after a first look: C6 asks for a factor
+of two since "larger" alone would have passed on 1.22 against 1.20 dB. Tables are those of the experiments
+``kappa-eta``, ``star-optimal`` and ``star-calibrated``, with their failed and missing cases. Means are over offsets and
+seeds, of dB values, as in the paper; a case without a finite CD is left out of its mean and counted in the claim's
+detail. A claim is not tested where a condition it rests on has no finite CD at all.
 
 Claims and thresholds are from B. Xing et al., "MVLA-GR: A Phase-Free Multipath-Based Geometry Reconstruction Method via
 Multi-View Likelihood Accumulation for ISAC", Section IV and Table I.
@@ -16,7 +18,20 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import pandas as pd
-from scipy.stats import spearmanr
+
+from mvla_sim.evaluation.averages import (
+    BP,
+    DENSE_DEG,
+    MVLA,
+    CannotTellError,
+    calibrated_means,
+    dense_and_sparse,
+    left_out,
+    mean_cd,
+    need,
+    rank_correlation,
+    spread_over_snr,
+)
 
 __all__ = [
     "PAPER_ETA",
@@ -41,12 +56,11 @@ PAPER_THRESHOLDS: Final = pd.DataFrame(
 )
 """The paper's calibrated thresholds; p in per cent of all voxels of its own grid."""
 
-MVLA, BP = "mvla-gr", "bp"
-SPARSE_DEG: Final = 10.0
 STRONG_RANK: Final = 0.9 - 1e-9
 """Five values with one neighbouring pair swapped have a rank correlation of 0.9, which is to count."""
 CLOSE_DB: Final = 1.0
 STABLE_SHARE: Final = 0.10
+TARGETS: Final = ("circle", "square", "triangle")
 PHASE_CHANGE: Final = 1e-5
 COST_SLACK: Final = 1.5
 
@@ -86,16 +100,15 @@ class Claim:
 
 @dataclass(frozen=True)
 class Tables:
-    """Result tables, None where an experiment was not run; ``checks`` are the measurements of cost and phase."""
+    """Result tables, None where an experiment was not run; ``checks`` are the measurements of cost and phase.
+
+    Tables may hold cases that failed or are missing; their ``cd_db`` is NaN.
+    """
 
     kappa_eta: pd.DataFrame | None = None
     star_optimal: pd.DataFrame | None = None
     star_calibrated: pd.DataFrame | None = None
     checks: Mapping[str, Any] = field(default_factory=dict)
-
-
-class _CannotTellError(Exception):
-    """The table does not hold what the claim is about."""
 
 
 Outcome = tuple[str, float, bool]
@@ -112,17 +125,24 @@ def claims_table(claims: list[Claim]) -> pd.DataFrame:
     return pd.DataFrame([vars(claim) for claim in claims])
 
 
-def thresholds_table(optimal: pd.DataFrame) -> pd.DataFrame:
-    """Calibrated thresholds per SNR beside the paper's, with the retained area in m² (Table I's layout)."""
-    means = _calibrated(optimal)
+def thresholds_table(optimal: pd.DataFrame, calibrated: pd.DataFrame | None = None) -> pd.DataFrame:
+    """Calibrated thresholds per SNR beside the paper's (Table I's layout), with retained areas in m².
+
+    ``mvla_area_m2`` and ``bp_area_m2`` are what these thresholds retain, NaN without ``calibrated``;
+    ``mvla_optimal_area_m2`` is what each case's own optimum retains: with Θ ≥ T_θ an average of thresholds does not
+    retain the average of areas. Areas are averaged as the thresholds are, over intervals of equal weight.
+    """
+    means = calibrated_means(optimal)
+    areas = calibrated_means(calibrated)["area_m2"] if calibrated is not None else means["area_m2"] * float("nan")
     table = PAPER_THRESHOLDS.rename(columns=lambda c: c if c == "snr_db" else f"paper_{c}").set_index("snr_db")
     ours = pd.DataFrame(
         {
             "mvla_top_percent": means["top_percent"][MVLA],
             "mvla_min_support_deg": means["min_support_deg"][MVLA],
-            "mvla_area_m2": means["area_m2"][MVLA],
+            "mvla_area_m2": areas[MVLA],
+            "mvla_optimal_area_m2": means["area_m2"][MVLA],
             "bp_top_percent": means["top_percent"][BP],
-            "bp_area_m2": means["area_m2"][BP],
+            "bp_area_m2": areas[BP],
         }
     )
     return ours.join(table, how="left").reset_index()
@@ -140,57 +160,42 @@ def _judge(number: str, tables: Tables, entry: _Entry) -> Claim:
         return Claim(number, entry.text, entry.rule, detail="the experiment was not run")
     try:
         figure, measured, met = entry.measure(source)
-    except _CannotTellError as error:
-        return Claim(number, entry.text, entry.rule, detail=str(error))
-    lost = _not_finite(source)
-    detail = f"{lost} cases without a finite CD were left out" if lost else ""
-    return Claim(number, entry.text, entry.rule, figure, measured, "holds" if met else "does not hold", detail)
+    except CannotTellError as error:
+        return Claim(
+            number, entry.text, entry.rule, detail="; ".join(filter(None, (str(error), left_out(_frames(source)))))
+        )
+    except (KeyError, TypeError) as error:
+        if entry.needs != "checks":
+            raise
+        return Claim(number, entry.text, entry.rule, detail=f"checks.json: {number.lower()} lacks {error}")
+    verdict: Verdict = "holds" if met else "does not hold"
+    return Claim(number, entry.text, entry.rule, figure, measured, verdict, left_out(_frames(source)))
 
 
-def _not_finite(source: Any) -> int:
-    frames = [source] if isinstance(source, pd.DataFrame) else []
+def _frames(source: Any) -> list[pd.DataFrame]:
+    """Tables that a claim rests on."""
     if isinstance(source, Tables):
-        frames = [t for t in (source.star_optimal, source.star_calibrated) if t is not None]
-    return int(sum((~np.isfinite(frame["cd_db"].to_numpy(float))).sum() for frame in frames))
-
-
-def _means(table: pd.DataFrame, *axes: str) -> pd.DataFrame:
-    """Mean CD by ``axes``, a column a method."""
-    finite = table[np.isfinite(table["cd_db"].astype(float))]
-    means = pd.DataFrame(finite.groupby([*axes, "method"])["cd_db"].mean().unstack("method"))
-    if not {MVLA, BP} <= set(means.columns):
-        raise _CannotTellError("needs finished cases of both methods")
-    return means
-
-
-def _calibrated(table: pd.DataFrame) -> pd.DataFrame:
-    """Means of the optimal thresholds per SNR and method: over offsets and seeds first, then over intervals."""
-    names = ["top_percent", "min_support_deg", "area_m2"]
-    within = table.groupby(["snr_db", "method", "interval_deg"])[names].mean()
-    return pd.DataFrame(within.groupby(["snr_db", "method"]).mean().unstack("method"))
-
-
-def _rank(x: Any, y: Any) -> float:
-    """Spearman's rank correlation; 0 where one side is constant."""
-    x, y = np.asarray(x, float), np.asarray(y, float)
-    if np.ptp(x) == 0 or np.ptp(y) == 0:
-        return 0.0
-    return float(spearmanr(x, y).statistic)
+        return [_frame(source.star_optimal), _frame(source.star_calibrated)]
+    return [source] if isinstance(source, pd.DataFrame) else []
 
 
 def _c1(table: pd.DataFrame) -> Outcome:
-    average = table.groupby(["scene", "kappa", "eta"])["cd_db"].mean().groupby(["kappa", "eta"]).mean()
-    best: Any = average.idxmin()
+    finite = table[np.isfinite(table["cd_db"].astype(float))]
+    by_target = finite.groupby(["kappa", "eta", "scene"])["cd_db"].mean().unstack("scene")
+    need(", ".join(TARGETS), set(TARGETS) <= set(by_target.columns))
+    average = by_target[list(TARGETS)].dropna().mean(axis=1)  # a cell that lacks a target is no average of three
     paper = (PAPER_KAPPA, PAPER_ETA)
-    gap = float(average[paper] - average.min()) if paper in average.index else float("nan")
+    need("every target at (0.5, 0.04)", paper in average.index)
+    best: Any = average.idxmin()
+    gap = float(average[paper] - average.min())
     figure = f"minimum {average.min():.2f} dB at ({best[0]:g}, {best[1]:g}); (0.5, 0.04) is {gap:.2f} dB above it"
-    return figure, gap, best == paper
+    return figure, gap, gap <= 0
 
 
 def _c2(table: pd.DataFrame) -> Outcome:
-    means = _means(table, "snr_db", "interval_deg")
+    means = mean_cd(table)
     ranks = {
-        (method, snr): _rank(part.index.get_level_values("interval_deg"), part[method])
+        (method, snr): rank_correlation(part.index.get_level_values("interval_deg"), part[method])
         for method in (MVLA, BP)
         for snr, part in means.groupby(level="snr_db")
     }
@@ -200,73 +205,77 @@ def _c2(table: pd.DataFrame) -> Outcome:
 
 
 def _c3(table: pd.DataFrame) -> Outcome:
-    means = _means(table, "snr_db", "interval_deg")
+    means = mean_cd(table)
     share = float((means[MVLA] < means[BP]).mean())
     return f"lower in {100 * share:.0f} % of {len(means)} conditions", share, share > 0.5
 
 
 def _c4(table: pd.DataFrame) -> Outcome:
-    means = _means(table, "interval_deg")
+    means = mean_cd(table).groupby("interval_deg").mean()
     advantage = means[BP] - means[MVLA]
-    rank = _rank(advantage.index, advantage)
-    dense, sparse = advantage.iloc[0], advantage[advantage.index >= SPARSE_DEG].mean()
+    rank = rank_correlation(advantage.index, advantage)
+    dense, sparse = dense_and_sparse(advantage)
     figure = f"{dense:.1f} dB at {advantage.index[0]:g}°, {sparse:.1f} dB from 10° on; rank correlation {rank:.2f}"
     return figure, rank, rank > 0.5 and sparse > dense
 
 
 def _c5(table: pd.DataFrame) -> Outcome:
-    means = _means(table, "interval_deg").sort_index().iloc[0]
+    means = mean_cd(table).groupby("interval_deg").mean().iloc[0]
+    need(f"an interval of at most {DENSE_DEG:g}°", float(str(means.name)) <= DENSE_DEG)
     behind = float(means[BP] - means[MVLA])
-    return f"BP is {behind:+.2f} dB from MVLA-GR at the densest interval", behind, behind <= CLOSE_DB
+    return f"BP's CD minus MVLA-GR's is {behind:+.2f} dB at {means.name:g}°", behind, behind <= CLOSE_DB
 
 
 def _c6(table: pd.DataFrame) -> Outcome:
-    spread = _means(table, "interval_deg", "snr_db")[MVLA].groupby("interval_deg").agg(np.ptp)
-    dense, sparse = float(spread.iloc[0]), float(spread[spread.index >= SPARSE_DEG].mean())
-    figure = f"spread over SNR {dense:.2f} dB at {spread.index[0]:g}°, {sparse:.2f} dB from 10° on"
-    return figure, sparse / dense if dense else float("inf"), sparse > 0 and sparse >= 2 * dense
+    spread = spread_over_snr(table)[MVLA]
+    dense, sparse = dense_and_sparse(spread)
+    ratio = sparse / dense if dense else float("inf")
+    figure = f"spread over SNR {dense:.2f} dB at {spread.index[0]:g}°, {sparse:.2f} dB from 10° on: {ratio:.2f} times"
+    return figure, ratio, sparse > 0 and sparse >= 2 * dense
 
 
 def _c7(table: pd.DataFrame) -> Outcome:
-    spread = _means(table, "interval_deg", "snr_db").groupby("interval_deg").agg(np.ptp).mean()
+    spread = spread_over_snr(table).mean()
     figure = f"mean spread over SNR: BP {spread[BP]:.2f} dB, MVLA-GR {spread[MVLA]:.2f} dB"
     return figure, float(spread[MVLA] - spread[BP]), bool(spread[BP] < spread[MVLA])
 
 
 def _c8(tables: Tables) -> Outcome:
-    calibrated, optimal = (
-        _means(_frame(table), "snr_db", "interval_deg").mean()
-        for table in (tables.star_calibrated, tables.star_optimal)
-    )
-    cost = calibrated - optimal
+    optimal, calibrated = _frame(tables.star_optimal), _frame(tables.star_calibrated)
+    known = optimal.columns.intersection(calibrated.columns)
+    keys = [k for k in ("scene", "snr_db", "interval_deg", "offset", "seed", "method") if k in known]
+    pairs = optimal[[*keys, "cd_db"]].merge(calibrated[[*keys, "cd_db"]], on=keys, suffixes=("_optimal", ""))
+    cost = mean_cd(pairs.assign(cd_db=pairs["cd_db"] - pairs["cd_db_optimal"])).mean()
     figure = f"calibrated thresholds cost MVLA-GR {cost[MVLA]:.2f} dB and BP {cost[BP]:.2f} dB"
     return figure, float(cost.min()), bool((cost > 0).all())
 
 
 def _c9(table: pd.DataFrame) -> Outcome:
-    means = _means(table, "snr_db", "interval_deg")
+    means = mean_cd(table)
     advantage = (means[BP] - means[MVLA]).groupby("snr_db").mean()
-    rank = _rank(advantage.index, advantage)
+    rank = rank_correlation(advantage.index, advantage)
     figure = f"mean advantage {advantage.iloc[0]:.1f} dB at the lowest SNR, {advantage.iloc[-1]:.1f} dB at the highest"
     return f"{figure}; rank correlation {rank:.2f}", rank, rank >= STRONG_RANK
 
 
 def _c10(table: pd.DataFrame) -> Outcome:
-    p = _calibrated(table)["top_percent"][MVLA]
-    rank = _rank(p.index, p)
+    p = calibrated_means(table)["top_percent"][MVLA]
+    rank = rank_correlation(p.index, p)
     return f"p from {p.iloc[0]:.2f} % to {p.iloc[-1]:.2f} %; rank correlation {rank:.2f}", rank, rank >= STRONG_RANK
 
 
 def _c11(table: pd.DataFrame) -> Outcome:
-    t = _calibrated(table)["min_support_deg"][MVLA]
+    t = calibrated_means(table)["min_support_deg"][MVLA]
     steps = np.diff(t.to_numpy())
-    least = float(steps.min()) if steps.size else float("nan")
+    need("thresholds at two SNRs", steps.size > 0, bool(np.isfinite(steps).all()))
+    least = float(steps.min())
     values = ", ".join(f"{v:.1f}" for v in t)
-    return f"T_θ = {values}° with rising SNR (paper: 30.4 to 96.8°)", least, bool(steps.size and (steps > 0).all())
+    return f"T_θ = {values}° with rising SNR (paper: 30.4 to 96.8°)", least, least > 0
 
 
 def _c12(table: pd.DataFrame) -> Outcome:
-    p = _calibrated(table)["top_percent"][BP]
+    p = calibrated_means(table)["top_percent"][BP]
+    need("thresholds at two SNRs", len(p) > 1, bool(p.notna().all()))
     spread = float(np.ptp(p) / p.mean())
     return (
         f"p from {p.min():.2f} % to {p.max():.2f} %, {100 * spread:.0f} % of its mean",
@@ -276,9 +285,9 @@ def _c12(table: pd.DataFrame) -> Outcome:
 
 
 def _c13(table: pd.DataFrame) -> Outcome:
-    means = _means(table, "snr_db", "interval_deg")[MVLA].unstack("snr_db")
+    means = mean_cd(table)[MVLA].unstack("snr_db")
     if 5.0 not in means.index or means.shape[1] < 2 or len(means) < 2:
-        raise _CannotTellError("needs an interval of 5°, another one, and two SNRs")
+        raise CannotTellError("needs an interval of 5°, another one, and two SNRs")
     by_views = means.loc[[i for i in (1.0, 5.0, 10.0, 30.0) if i in means.index], means.columns.max()]
     by_snr = means.loc[5.0].sort_index()
     least = float(min(np.diff(by_views).min(), (-np.diff(by_snr)).min()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +25,7 @@ __all__ = [
     "SINGLE_COLUMN_IN",
     "figure_style",
     "new_figure",
+    "png_bytes",
     "save_figure",
 ]
 
@@ -107,6 +109,14 @@ def new_figure(width_in: float, height_in: float, *, constrained: bool = True) -
     figure = Figure(figsize=(width_in, height_in), layout="constrained" if constrained else None)
     FigureCanvasAgg(figure)
     return figure
+
+
+def png_bytes(figure: Figure) -> bytes:
+    """Return a figure as a PNG, the bytes that :func:`save_figure` would write."""
+    buffer = io.BytesIO()
+    with figure_style():
+        figure.savefig(buffer, format="png", dpi=PNG_DPI, metadata=_METADATA[".png"])
+    return buffer.getvalue()
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:

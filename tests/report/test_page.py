@@ -17,6 +17,7 @@ from mvla_sim.cli.report import write_report
 from mvla_sim.errors import DataError
 from mvla_sim.report.page import Section, table_html, write_page
 
+PICTURES = 4 + 2 * 3 + 1  # maps of the average and three targets, two sets of curves at three SNRs, sensitivity
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -61,7 +62,7 @@ def results(tmp_path_factory):
         top_percent=1.0, min_support_deg=20 + star["snr_db"], area_m2=2.0,
     )  # fmt: skip
     maps = pd.DataFrame(
-        itertools.product(("circle", "<square>"), (0.3, 0.5), (0.0, 0.04)), columns=["scene", "kappa", "eta"]
+        itertools.product(("circle", "square", "triangle"), (0.3, 0.5), (0.0, 0.04)), columns=["scene", "kappa", "eta"]
     )
     maps = maps.assign(status="done", case=range(len(maps)), key="k", error="", cd_db=-20 - maps["kappa"] - maps["eta"])
     for name, table in (
@@ -82,7 +83,7 @@ def test_report_is_whole_in_itself(results):
     page = write_report(results)
     reader = read(page)
     assert reader.loads == []
-    assert len(reader.images) == 4  # maps, two sets of curves, sensitivity
+    assert len(reader.images) == PICTURES
     for image in reader.images:
         assert image["alt"]
         assert base64.b64decode(image["src"].removeprefix("data:image/png;base64,")).startswith(b"\x89PNG")
@@ -118,6 +119,36 @@ def test_tables_without_a_usable_case_count_as_not_run(results, tmp_path, conten
     claims = pd.read_csv(tmp_path / "claims.csv").set_index("number")["verdict"]
     assert claims["C3"] == "not tested"
     assert claims["C1"] != "not tested"
+
+
+def test_failed_and_missing_cases_are_named_on_top_and_in_the_claims(results, tmp_path):
+    shutil.copytree(results, tmp_path / "r")
+    file = tmp_path / "r" / "star-optimal" / "table.csv"
+    table = pd.read_csv(file, dtype={"error": str, "status": str})
+    table.loc[table["seed"] == 1, ["status", "cd_db"]] = ["missing", float("nan")]
+    table.loc[0, ["status", "error", "cd_db"]] = ["failed", "DataError: no <peak>", float("nan")]
+    table.to_csv(file, index=False)
+    text = write_report(tmp_path / "r").read_text(encoding="utf-8")
+    half = len(table) // 2
+    assert f"star-optimal: {half + 1} of {len(table)} cases failed or are missing (DataError: no &lt;peak&gt;)" in text
+    claims = pd.read_csv(tmp_path / "r" / "claims.csv").set_index("number")
+    assert claims.loc["C3", "verdict"] == "not tested"  # one condition has no case left
+    assert f"(1 failed, {half} missing)" in claims.loc["C3", "detail"]
+    assert "Not finished" not in write_report(results).read_text(encoding="utf-8")
+
+
+def test_key_figures_are_those_of_the_tables(results):
+    text = write_report(results).read_text(encoding="utf-8")
+    claims = pd.read_csv(results / "claims.csv")
+    tested = claims[claims["verdict"] != "not tested"]
+    assert f"<b>{(tested['verdict'] == 'holds').sum()} of {len(tested)}</b>" in text
+    assert "<b>−24.4 / −21.4 dB</b>mean CD of MVLA-GR / BP at 5° and 20 dB" in text  # −25 + 3.5 + 0.05 (− 3)
+
+
+def test_tables_of_sentences_name_their_cells_for_phones():
+    text = table_html(pd.DataFrame({'say "so"': ["a"]}), stack=True)
+    assert '<table class="stack">' in text
+    assert 'data-label="say &quot;so&quot;"' in text
 
 
 def test_cells_are_escaped_and_verdicts_are_words():
@@ -158,7 +189,7 @@ def test_a_browser_shows_the_report_at_phone_width(results, tmp_path):
     measured = json.loads(found.group(1).replace("&quot;", '"'))
     assert measured["seen"] == 380
     assert measured["width"] <= 380
-    assert len(measured["images"]) == 4
+    assert len(measured["images"]) == PICTURES
     assert all(width > 0 for width in measured["images"])
     assert "CONSOLE" not in done.stderr
 

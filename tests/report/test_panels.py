@@ -11,7 +11,7 @@ import shapely
 
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.image import Image
-from mvla_sim.report.panels import plot_cd_panels, plot_examples, plot_parameter_maps, plot_verdicts
+from mvla_sim.report.panels import parameter_maps, plot_cd_panels, plot_examples, plot_parameter_maps, plot_verdicts
 from mvla_sim.report.style import save_figure
 from mvla_sim.scene.grid import VoxelGrid
 
@@ -39,6 +39,49 @@ def test_cd_panels_draw_means_over_offsets():
     assert [axes.get_title() for axes in figure.axes] == ["SNR 0 dB", "SNR 20 dB"]
     line = next(line for line in figure.axes[0].lines if line.get_label() == "BP")
     np.testing.assert_allclose(line.get_xydata(), [(i, -20 + i / 3 + 1.5) for i in (1.0, 5.0, 30.0)])
+
+
+def test_one_panel_has_the_axes_of_all():
+    both = plot_cd_panels(star())
+    for snr in (0.0, 20.0):
+        alone = plot_cd_panels(star(), only=snr)
+        assert [axes.get_title() for axes in alone.axes] == [f"SNR {snr:g} dB"]
+        assert alone.axes[0].get_ylim() == both.axes[0].get_ylim()
+    with pytest.raises(DataError, match="no finite CD at 5 dB"):
+        plot_cd_panels(star(), only=5.0)
+    with pytest.raises(DataError, match="no finite CD"):
+        plot_cd_panels(star().assign(cd_db=np.nan))
+
+
+def parameter_table():
+    grid = itertools.product(("circle", "square"), (0.3, 0.5, 0.7), (0.02, 0.04))
+    table = pd.DataFrame(grid, columns=["scene", "kappa", "eta"])
+    return table.assign(cd_db=-20 - table["kappa"] - 2 * (table["scene"] == "circle"))
+
+
+def test_one_map_writes_its_values_on_the_colours_of_all():
+    table = parameter_table()
+    alone, limits = plot_parameter_maps(table, "square"), plot_parameter_maps(table).axes[0].images[0].get_clim()
+    axes = alone.axes[0]
+    assert axes.images[0].get_clim() == limits
+    written = {text.get_position(): text.get_text() for text in axes.texts}
+    assert len(written) == 6
+    assert written[1, 2] == "−20.7"  # column η = 0.04, row κ = 0.7
+    with pytest.raises(DataError, match="no map 'star'; there are average, circle, square"):
+        plot_parameter_maps(table, "star")
+
+
+@pytest.mark.parametrize("lost", [np.nan, -np.inf])
+def test_a_cell_that_lacks_a_scene_has_no_average(lost):
+    table = parameter_table()
+    table.loc[(table["scene"] == "square") & (table["kappa"] == 0.7) & (table["eta"] == 0.04), "cd_db"] = lost
+    maps = parameter_maps(table)
+    assert np.isnan(maps["average"].loc[0.7, 0.04])
+    assert maps["circle"].loc[0.7, 0.04] == pytest.approx(-22.7)
+    assert int(maps["average"].isna().to_numpy().sum()) == 1
+    assert np.isfinite(plot_parameter_maps(table).axes[0].images[0].get_clim()).all()
+    with pytest.raises(DataError, match="no finite CD"):
+        plot_parameter_maps(table.assign(cd_db=np.nan))
 
 
 def test_infinite_distances_are_left_out_of_the_panels():
