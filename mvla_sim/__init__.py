@@ -35,10 +35,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mvla_sim.channel.cir import Cir
+    from mvla_sim.channel.components import Components
+    from mvla_sim.channel.files import load_channel
+    from mvla_sim.channel.importers.build import import_channel
+    from mvla_sim.channel.response import FrequencyResponse
     from mvla_sim.channel.simulate import simulate
+    from mvla_sim.channel.synthesis import synthesize, write_campaign
     from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings, imaging_settings
+    from mvla_sim.config.importing import import_settings
+    from mvla_sim.config.process import load_process
     from mvla_sim.errors import MvlaError
     from mvla_sim.evaluation.evaluate import evaluate
+    from mvla_sim.evaluation.process import process
+    from mvla_sim.evaluation.shape import bounding_box
+    from mvla_sim.imaging.export import export_image
     from mvla_sim.imaging.image import Image
     from mvla_sim.imaging.pipeline import reconstruct
     from mvla_sim.report.figures import plot_comparison, plot_image, plot_scene
@@ -49,36 +59,58 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Cir": "channel.cir",
+    "Components": "channel.components",
     "EvaluationSettings": "config.imaging",
+    "FrequencyResponse": "channel.response",
     "Image": "imaging.image",
     "ImagingSettings": "config.imaging",
     "MvlaError": "errors",
     "Scene": "scene.world",
+    "bounding_box": "evaluation.shape",
     "evaluate": "evaluation.evaluate",
+    "export_image": "imaging.export",
     "imaging_settings": "config.imaging",
+    "import_channel": "channel.importers.build",
+    "import_settings": "config.importing",
+    "load_channel": "channel.files",
+    "load_process": "config.process",
     "plot_comparison": "report.figures",
     "plot_image": "report.figures",
     "plot_scene": "report.figures",
+    "process": "evaluation.process",
     "reconstruct": "imaging.pipeline",
     "save_figure": "report.style",
     "simulate": "channel.simulate",
+    "synthesize": "channel.synthesis",
+    "write_campaign": "channel.synthesis",
 }
 
 __all__ = [
     "Cir",
+    "Components",
     "EvaluationSettings",
+    "FrequencyResponse",
     "Image",
     "ImagingSettings",
     "MvlaError",
     "Scene",
+    "bounding_box",
     "evaluate",
+    "export_image",
     "imaging_settings",
+    "import_channel",
+    "import_settings",
+    "load_channel",
+    "load_process",
     "plot_comparison",
     "plot_image",
     "plot_scene",
+    "process",
     "reconstruct",
     "save_figure",
     "simulate",
+    "synthesize",
+    "write_campaign",
 ]
 
 

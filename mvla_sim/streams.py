@@ -15,6 +15,7 @@ class Stream(IntEnum):
     NOISE = 1
     SPECKLE = 2
     PHASE = 3
+    MEASUREMENT = 4
 
 
 def stream(seed: int, name: Stream, *key: int) -> np.random.Generator:

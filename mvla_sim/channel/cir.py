@@ -6,7 +6,6 @@ number of paths of each view.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -18,22 +17,22 @@ import shapely
 import xarray as xr
 from numpy.typing import NDArray
 
+from mvla_sim.channel.header import HEADER, check_radio, header_attributes, header_fields, header_variables
+from mvla_sim.config.antenna import AntennaSettings, Omni
 from mvla_sim.constants import delay_to_range
-from mvla_sim.errors import DataError
-from mvla_sim.netcdf import open_netcdf, table_of, write_netcdf
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.errors import DataError, MvlaError
+from mvla_sim.netcdf import open_netcdf, write_netcdf
+from mvla_sim.scene.views import Views
 
 __all__ = ["INTERACTIONS", "SCHEMA", "SCHEMA_VERSION", "Cir"]
 
 SCHEMA = "mvla-sim CIR"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""Version 2 knows receivers apart from transmitters, boresights and antennas; files of version 1 have none."""
 INTERACTIONS: dict[str, int] = {"specular": 1, "diffuse": 2, "refraction": 4, "diffraction": 8}
 """Bits of ``interaction``; a path of several interactions has the bits of all of them."""
 
-_VARIABLES = (
-    "gain_real", "gain_imag", "delay", "interaction", "first_point", "row_size",
-    "position", "angle", "center", "carrier_frequency", "bandwidth", "target_extent",
-)  # fmt: skip
+_VARIABLES = ("gain_real", "gain_imag", "delay", "interaction", "first_point", "row_size", *HEADER)
 
 
 @dataclass(frozen=True)
@@ -61,6 +60,8 @@ class Cir:
         Largest extent D of the target, metres; NaN where unknown.
     outline
         Cross-section of the target at the imaging plane, or None where unknown; only evaluation looks at it.
+    antenna
+        Pattern of both antennas; it is part of the gains already, and tells imaging where the beam reaches.
     config
         Every setting that decided the data, as plain data.
     provenance
@@ -77,6 +78,7 @@ class Cir:
     bandwidth_hz: float
     extent_m: float = float("nan")
     outline: Any = None
+    antenna: AntennaSettings = field(default_factory=Omni)
     config: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
 
@@ -98,10 +100,7 @@ class Cir:
             raise DataError("CIR: gain or delay holds NaN or infinity; every path needs finite values")
         if (self.delay_s < 0).any():
             raise DataError(f"CIR: delay {self.delay_s.min():g} s is negative; delays must be absolute and at least 0")
-        if not (self.carrier_hz > 0 and self.bandwidth_hz > 0):
-            raise DataError(
-                f"CIR: carrier {self.carrier_hz:g} Hz and bandwidth {self.bandwidth_hz:g} Hz must be above 0"
-            )
+        check_radio(self, "CIR")
 
     @property
     def n_view(self) -> int:
@@ -177,36 +176,12 @@ class Cir:
                     self.row_size,
                     {"long_name": "number of paths of the view", "sample_dimension": "path"},
                 ),
-                "position": (("view", "xyz"), self.views.positions_m, {"long_name": "sensor position", "units": "m"}),
-                "angle": (
-                    "view",
-                    self.views.angles_deg,
-                    {
-                        "long_name": "direction of the sensor from center, counter-clockwise from +x",
-                        "units": "degree",
-                    },
-                ),
-                "carrier_frequency": ((), self.carrier_hz, {"units": "Hz"}),
-                "bandwidth": ((), self.bandwidth_hz, {"units": "Hz"}),
-                "target_extent": ((), self.extent_m, {"long_name": "largest extent D of the target", "units": "m"}),
-                "center": (
-                    "xy",
-                    np.asarray(self.views.center_m, np.float64),
-                    {"long_name": "centre of circle, arc or turntable, else of the target", "units": "m"},
-                ),
+                **header_variables(self),
             },
             coords={"xyz": xyz, "view": np.arange(self.n_view), "xy": ["x", "y"]},
-            attrs={
-                "Conventions": "CF-1.11",
-                "title": f"{self.config.get('name', 'channel')}: channel impulse responses",
-                "schema": SCHEMA,
-                "schema_version": SCHEMA_VERSION,
-                "config": json.dumps(dict(self.config), sort_keys=True),
-                "provenance": json.dumps(dict(self.provenance), sort_keys=True),
-            },
+            attrs=header_attributes(self, SCHEMA, SCHEMA_VERSION),
         )
-        if self.outline is not None:
-            dataset.attrs["target_outline_wkt"] = shapely.to_wkt(self.outline, rounding_precision=9)
+        dataset.attrs["title"] = f"{self.config.get('name', 'channel')}: channel impulse responses"
         return dataset
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -229,30 +204,19 @@ class Cir:
         DataError
             Missing, empty, truncated, not NetCDF-4, no CIR file, of another schema version, or inconsistent.
         """
-        dataset = open_netcdf(path, SCHEMA, SCHEMA_VERSION, _VARIABLES)
+        dataset = open_netcdf(path, SCHEMA, SCHEMA_VERSION, _VARIABLES, earlier=(1,))
         try:
-            wkt = dataset.attrs.get("target_outline_wkt")
             return cls(
                 gain=(dataset["gain_real"].values + 1j * dataset["gain_imag"].values).astype(np.complex64),
                 delay_s=dataset["delay"].values.astype(np.float64),
                 interaction=_flags(dataset["interaction"].values),
                 first_point_m=dataset["first_point"].values.astype(np.float32).reshape(-1, 3),
                 row_size=dataset["row_size"].values.astype(np.int64),
-                views=Views(
-                    dataset["position"].values,
-                    dataset["angle"].values,
-                    _pair(dataset["center"].values),
-                ),
-                carrier_hz=float(dataset["carrier_frequency"]),
-                bandwidth_hz=float(dataset["bandwidth"]),
-                extent_m=float(dataset["target_extent"]),
-                outline=shapely.from_wkt(wkt) if wkt else None,
-                config=table_of(dataset, "config"),
-                provenance=table_of(dataset, "provenance"),
+                **header_fields(dataset),
             )
         except (ValueError, TypeError, shapely.GEOSException) as error:
             raise DataError(f"{path}: not a readable CIR file ({error})") from error
-        except DataError as error:
+        except MvlaError as error:
             raise DataError(f"{path}: {error}") from error
 
 
@@ -261,10 +225,3 @@ def _flags(values: NDArray[Any]) -> NDArray[np.uint8]:
     if not np.isin(values, np.arange(sum(INTERACTIONS.values()) + 1)).all():
         raise ValueError(f"interaction holds values other than sums of {list(INTERACTIONS.values())}")
     return values.astype(np.uint8)
-
-
-def _pair(values: NDArray[Any]) -> tuple[float, float]:
-    """Two coordinates."""
-    if values.shape != (2,):
-        raise ValueError(f"center has shape {values.shape}, must be (2,)")
-    return float(values[0]), float(values[1])

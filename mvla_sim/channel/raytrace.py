@@ -1,6 +1,6 @@
 """From a scene to the paths of one view at a time, with Sionna RT. The only module that imports Sionna.
 
-One co-located pair of transmitter and receiver is moved from view to view; scene and solver are built once.
+One pair of transmitter and receiver, co-located or apart, is moved from view to view; scene and solver are built once.
 
 What makes this fast, and what makes it converge:
 
@@ -15,7 +15,9 @@ What makes this fast, and what makes it converge:
   those paths, and only those, are multiplied by √f.
 * **Speckle.** Sionna gives diffuse paths no phase of their own, so on a smooth face those near the specular point would
   add up coherently, and the more so the more rays there are. Diffuse scattering is incoherent: each diffuse path gets a
-  phase drawn from a stream named by seed and sensor position, and the PDP converges as rays are added.
+  phase drawn from a stream named by seed and the antennas' positions, and the PDP converges as rays are added.
+* **Antennas.** Sionna traces isotropic ones; a pattern multiplies each path's gain afterwards, by the directions in
+  which it leaves and arrives.
 * **Opaque bounds.** The rectangle enters the kernels as data, not as literals, so that they are compiled once.
 """
 
@@ -36,6 +38,7 @@ from mvla_sim.channel.cir import INTERACTIONS
 from mvla_sim.config.scene import CustomMaterial, RayTracingSettings
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.runtime.backend import activate_sionna
+from mvla_sim.scene.antenna import Antenna, build_antenna
 from mvla_sim.scene.world import Scene, SceneObject
 from mvla_sim.streams import Stream, stream
 
@@ -120,6 +123,21 @@ def plan_passes(settings: RayTracingSettings) -> list[_Pass]:
     return passes
 
 
+@dataclass(frozen=True)
+class _Beam:
+    """The antennas of one view: pattern, transmitter [3] and receiver [3] in metres, boresight [3]."""
+
+    antenna: Antenna
+    transmitter_m: NDArray[np.float64]
+    receiver_m: NDArray[np.float64]
+    boresight: NDArray[np.float64]
+
+    def amplitude(self, first_m: NDArray[np.float64], last_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Product of both field patterns along paths by their first and last interaction points ``[n, 3]``."""
+        departing = self.antenna.amplitude(first_m - self.transmitter_m, self.boresight)
+        return departing * self.antenna.amplitude(last_m - self.receiver_m, self.boresight)
+
+
 class ViewTracer:
     """Traces a scene from any position; build once, call :meth:`trace` per view.
 
@@ -140,13 +158,32 @@ class ViewTracer:
         self._passes = plan_passes(self._settings)
         self._vertices = np.concatenate([np.asarray(o.mesh.vertices, np.float64) for o in scene.objects])
         self._carrier_hz = scene.settings.radio.carrier_hz
+        self._antenna = build_antenna(scene.settings.radio.antenna)
         self._scene = self._build(scene)
         self._solver = self._rt.PathSolver(deterministic=True)
         self._counter = _CountingGenerator(self._solver._candidate_generator)
         self._solver._candidate_generator = self._counter
 
-    def trace(self, position_m: NDArray[np.float64], label: str = "view") -> ViewPaths:
-        """Trace one co-located pair at ``position_m`` [3], metres.
+    def trace(
+        self,
+        position_m: NDArray[np.float64],
+        label: str = "view",
+        *,
+        receiver_m: NDArray[np.float64] | None = None,
+        boresight: NDArray[np.float64] | None = None,
+    ) -> ViewPaths:
+        """Trace one pair.
+
+        Parameters
+        ----------
+        position_m
+            Transmitter ``[3]``, metres.
+        label
+            What the view is called in messages.
+        receiver_m
+            Receiver ``[3]``, metres; None: at the transmitter.
+        boresight
+            Unit vector ``[3]`` along which both antennas point; needed unless they are omnidirectional.
 
         Raises
         ------
@@ -155,22 +192,30 @@ class ViewTracer:
         """
         import mitsuba as mi  # noqa: PLC0415 - only after the backend is chosen
 
-        point = mi.Point3f(*(float(c) for c in position_m))
-        self._scene.get("tx").position = point
-        self._scene.get("rx").position = point
+        receiver = position_m if receiver_m is None else receiver_m
+        self._scene.get("tx").position = mi.Point3f(*(float(c) for c in position_m))
+        self._scene.get("rx").position = mi.Point3f(*(float(c) for c in receiver))
         window = (
             LaunchWindow.around(self._vertices, position_m)
             if self._settings.launch == "sector"
             else LaunchWindow.sphere()
         )
-        key = np.rint(np.asarray(position_m) * 1e6).astype(np.int64)
+        ends = [position_m] if np.array_equal(position_m, receiver) else [position_m, receiver]
+        key = np.rint(np.concatenate(ends) * 1e6).astype(np.int64)
         random = stream(self._settings.seed, Stream.SPECKLE, *(int(k) for k in key))
-        parts = [self._run(one, window, random, label) for one in self._passes]
+        beam = None
+        if self._antenna is not None:
+            if boresight is None:
+                raise ConfigError(f"{label}: antennas with a pattern need a boresight")
+            beam = _Beam(self._antenna, position_m, receiver, boresight)
+        parts = [self._run(one, window, random, label, beam) for one in self._passes]
         return ViewPaths(
             *(np.concatenate([getattr(part, name) for part in parts]) for name in ViewPaths.__dataclass_fields__)
         )
 
-    def _run(self, one: _Pass, window: LaunchWindow, random: np.random.Generator, label: str) -> ViewPaths:
+    def _run(
+        self, one: _Pass, window: LaunchWindow, random: np.random.Generator, label: str, beam: _Beam | None
+    ) -> ViewPaths:
         depth = self._settings.max_depth
         cap = min(self._settings.max_paths, one.rays * depth + 1)  # a ray gives at most one path per interaction
         with _launch_into(window):
@@ -191,9 +236,11 @@ class ViewTracer:
                 f"{label}: the {one.name} pass met the cap of {cap} paths and would lose some; "
                 f"raise ray_tracing.max_paths (now {self._settings.max_paths}) or lower the ray counts"
             )
-        return self._gather(paths, one, window, random)
+        return self._gather(paths, one, window, random, beam)
 
-    def _gather(self, paths: Any, one: _Pass, window: LaunchWindow, random: np.random.Generator) -> ViewPaths:
+    def _gather(
+        self, paths: Any, one: _Pass, window: LaunchWindow, random: np.random.Generator, beam: _Beam | None
+    ) -> ViewPaths:
         """Bring a solver result to NumPy: valid paths only, absolute delays, phases applied in float64."""
         delay = paths.tau.numpy().reshape(-1).astype(np.float64)
         if delay.size == 0:
@@ -215,6 +262,9 @@ class ViewTracer:
         gain = amplitude * np.exp(-2j * np.pi * self._carrier_hz * delay)
         speckle = np.exp(2j * np.pi * random.random(delay.size))
         gain *= np.where(diffuse, np.sqrt(window.fraction) * speckle, 1.0)
+        if beam is not None:
+            depth = np.maximum((kinds[:, order] > 0).sum(axis=0) - 1, 0)
+            gain *= beam.amplitude(points[0][order], points[depth, order])
         return ViewPaths(gain.astype(np.complex64), delay, interaction, points[0][order].astype(np.float32))
 
     def _build(self, scene: Scene) -> Any:

@@ -15,11 +15,13 @@ import numpy as np
 from mvla_sim.channel import raytrace
 from mvla_sim.channel.cir import SCHEMA_VERSION, Cir
 from mvla_sim.channel.raytrace import ViewPaths, ViewTracer
+from mvla_sim.config.antenna import Omni
 from mvla_sim.errors import DataError, MvlaError, OutputError
 from mvla_sim.runtime.cache import cache_folder
 from mvla_sim.runtime.interrupt import deferred_interrupt
 from mvla_sim.runtime.progress import progress
 from mvla_sim.runtime.provenance import provenance
+from mvla_sim.scene import antenna
 from mvla_sim.scene.world import Scene
 
 __all__ = ["SimulationInterruptedError", "cache_file", "simulate"]
@@ -41,7 +43,7 @@ def cache_file(scene: Scene) -> Path:
         "scene": scene.fingerprint(),
         "schema": SCHEMA_VERSION,
         "versions": {name: version(name) for name in ("sionna-rt", "mitsuba", "drjit")},
-        "tracer": hashlib.sha256(inspect.getsource(raytrace).encode()).hexdigest(),
+        "tracer": hashlib.sha256((inspect.getsource(raytrace) + inspect.getsource(antenna)).encode()).hexdigest(),
     }
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
     return cache_folder() / "cir" / f"{digest[:32]}.nc"
@@ -71,7 +73,8 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
     """
     kept = cache_file(scene) if cache else None
     if kept is not None and (cached := _load(kept)) is not None:
-        return replace(cached, config=scene.settings.model_dump(mode="json"))  # an equal scene may bear another name
+        settings = scene.settings  # an equal scene, and an equal pattern file, may bear another name
+        return replace(cached, config=settings.model_dump(mode="json"), antenna=settings.radio.antenna)
     partial = kept.with_suffix(".partial.nc") if kept is not None else None
     views = _resume(partial)
     tracer = ViewTracer(scene)
@@ -81,7 +84,7 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
         try:
             with deferred_interrupt() as check:
                 for number in range(len(views), total):
-                    views.append(tracer.trace(scene.views.positions_m[number], f"{scene.name}, view {number}"))
+                    views.append(_trace(tracer, scene, number))
                     advance(1)
                     check()
         except KeyboardInterrupt as stop:
@@ -105,6 +108,14 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
             logging.getLogger("mvla_sim").warning("mvla: note: not cached: %s", error)
         partial.unlink(missing_ok=True)
     return cir
+
+
+def _trace(tracer: ViewTracer, scene: Scene, number: int) -> ViewPaths:
+    views = scene.views
+    receiver = None if views.receivers_m is None else views.receivers_m[number]
+    boresight = None if isinstance(scene.settings.radio.antenna, Omni) else views.directions[number]
+    label = f"{scene.name}, view {number}"
+    return tracer.trace(views.positions_m[number], label, receiver_m=receiver, boresight=boresight)
 
 
 def _load(path: Path) -> Cir | None:
@@ -142,6 +153,7 @@ def _assemble(scene: Scene, views: list[ViewPaths]) -> Cir:
         bandwidth_hz=scene.settings.radio.bandwidth_hz,
         extent_m=scene.extent_m,
         outline=scene.outline,
+        antenna=scene.settings.radio.antenna,
         config=scene.settings.model_dump(mode="json"),
         provenance=provenance(),
     )

@@ -121,7 +121,7 @@ def simulate(
 
 @app.command()
 def image(
-    cir_file: Annotated[Path, typer.Argument(metavar="CIR.nc", help="A CIR file.")],
+    cir_file: Annotated[Path, typer.Argument(metavar="CHANNEL.nc", help="A CIR file, or another of mvla import.")],
     output: Output,
     method: Annotated[str | None, typer.Option(help="mvla-gr, mvla-hard or bp.")] = None,
     snr: Annotated[str | None, typer.Option(help="SNR in dB, or 'none' for no noise.")] = None,
@@ -130,7 +130,7 @@ def image(
     seed: Annotated[int | None, typer.Option(help="Seed of the noise.")] = None,
     overrides: Overrides = None,
 ) -> None:
-    """Reconstruct an image from a CIR file."""
+    """Reconstruct an image from a CIR file, or from imported data."""
     from mvla_sim.config.imaging import imaging_settings
 
     _check_output(output, (".nc",))
@@ -142,10 +142,10 @@ def image(
         "seed": seed,
     }
     settings = imaging_settings(overrides or [], **{k: v for k, v in given.items() if v is not None})
-    from mvla_sim.channel.cir import Cir
+    from mvla_sim.channel.files import load_channel
     from mvla_sim.imaging.pipeline import reconstruct
 
-    result = reconstruct(Cir.load(cir_file), settings)
+    result = reconstruct(load_channel(cir_file), settings)
     result.save(output)
     nx, ny, nz = result.grid.counts
     out.print(f"{output}: {settings.method}, {result.n_view} views, {nx} × {ny} × {nz} voxels")
@@ -232,6 +232,60 @@ def run_experiment(
         show_plan(plan, folder, workers or core_count(), out)
         return
     raise typer.Exit(execute(plan, folder, out, errors, workers=workers, fresh=fresh))
+
+
+@app.command(name="import")
+def import_data(
+    source: Annotated[
+        Path,
+        typer.Argument(help="Folder of .s1p/.s2p files, .mat, .npz, .h5, .nc, .csv, .p2m, DeepMIMO folder, or a TOML."),
+    ],
+    output: Output,
+    settings: Annotated[Path | None, typer.Option("--settings", help="TOML file of import settings.")] = None,
+    overrides: Overrides = None,
+) -> None:
+    """Read measured data, or another program's paths, into a channel file (NetCDF-4) that mvla image takes."""
+    from mvla_sim.cli.measured import import_file
+
+    _check_output(output, (".nc",))
+    import_file(source, output, settings, overrides or [], out)
+
+
+@app.command()
+def synthesize(
+    cir_file: Annotated[Path, typer.Argument(metavar="CIR.nc", help="A CIR file of mvla simulate.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the Touchstone files.")],
+    overrides: Overrides = None,
+) -> None:
+    """Write a CIR as a laboratory's sweeps: noise, drifting phase, leakage, static echoes; one .s2p file a view."""
+    from mvla_sim.cli.measured import write_sweeps
+
+    write_sweeps(cir_file, output, overrides or [], out)
+
+
+@app.command()
+def process(
+    file: Annotated[Path, typer.Argument(help="A TOML file with [import] or scene, as experiments/vehicle.toml.")],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder; default results/NAME.")] = None,
+    overrides: Overrides = None,
+) -> None:
+    """Measured data in one go: import, image, threshold, pictures, bounding box and, with a truth, scores."""
+    from mvla_sim.cli.measured import run_process
+
+    run_process(file, output, overrides or [], out)
+
+
+@app.command()
+def export(
+    image_file: Annotated[Path, typer.Argument(metavar="IMAGE.nc", help="An image file.")],
+    output: Output,
+) -> None:
+    """Export an image: .vtk (ParaView: scores, Θ, binary result) or .ply (surface of the binary result)."""
+    from mvla_sim.imaging.export import export_image
+    from mvla_sim.imaging.image import Image
+
+    _check_output(output, (".vtk", ".ply"))
+    out.print(str(export_image(Image.load(image_file), output)), markup=False)
 
 
 ResultsFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder of the results.")]

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.cli.pictures import draw_waterfall, truth_of
+from mvla_sim.config.imaging import imaging_settings
 from mvla_sim.report.figures import plot_comparison, plot_curves, plot_image, plot_scene
 from mvla_sim.report.style import save_figure
 from mvla_sim.sweep.batch import Outcome
@@ -115,9 +116,8 @@ def _draw_channel(plan: Plan, channel: str, folder: Path) -> list[Path]:
     pictures = [folder / f"{scene.name}-scene{suffix}" for suffix in (".png", ".pdf")]
     for picture in pictures:
         save_figure(plot_scene(scene, *truth_of(scene, imaging.grid)), picture)
-    snr_db = "none" if imaging.noise.snr_db is None else imaging.noise.snr_db
     pictures.append(folder / f"{scene.name}-waterfall.png")
-    draw_waterfall(simulate(scene), pictures[-1], [f"noise.snr_db={snr_db}"])
+    draw_waterfall(simulate(scene), pictures[-1], imaging_settings(snr_db=imaging.noise.snr_db))
     return pictures
 
 

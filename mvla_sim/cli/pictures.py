@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.channel.cir import SCHEMA as CIR_SCHEMA
-from mvla_sim.channel.cir import Cir
-from mvla_sim.config.imaging import GridSettings, imaging_settings
+from mvla_sim.channel.files import CHANNEL_SCHEMAS, Channel, load_channel
+from mvla_sim.config.imaging import GridSettings, ImagingSettings, imaging_settings
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.evaluation.evaluate import evaluate
 from mvla_sim.evaluation.ground_truth import rasterize
@@ -28,21 +27,23 @@ __all__ = ["draw", "draw_scene", "draw_waterfall"]
 
 
 def draw(files: Sequence[Path], output: Path, overrides: Sequence[str]) -> None:
-    """Draw one CIR file, or image files side by side.
+    """Draw one channel file, or image files side by side.
 
     Raises
     ------
     DataError
         A file is of neither kind, or kinds are mixed.
     """
-    kinds = [schema_of(existing_file(file, "CIR or image file")) for file in files]
+    kinds = [schema_of(existing_file(file, "channel or image file")) for file in files]
     for file, kind in zip(files, kinds, strict=True):
-        if kind not in (CIR_SCHEMA, IMAGE_SCHEMA):
-            raise DataError(f"{file}: schema is {kind!r}; allowed: {CIR_SCHEMA!r} or {IMAGE_SCHEMA!r}")
-    if kinds == [CIR_SCHEMA]:
-        draw_waterfall(Cir.load(files[0]), output, overrides)
-    elif CIR_SCHEMA in kinds:
-        raise DataError(f"{files[kinds.index(CIR_SCHEMA)]}: give one CIR file alone, or image files only")
+        if kind not in (*CHANNEL_SCHEMAS, IMAGE_SCHEMA):
+            allowed = ", ".join(map(repr, (*CHANNEL_SCHEMAS, IMAGE_SCHEMA)))
+            raise DataError(f"{file}: schema is {kind!r}; allowed: {allowed}")
+    channels = [file for file, kind in zip(files, kinds, strict=True) if kind in CHANNEL_SCHEMAS]
+    if channels and len(files) == 1:
+        draw_waterfall(load_channel(files[0]), output, imaging_settings(overrides))
+    elif channels:
+        raise DataError(f"{channels[0]}: give one CIR or other channel file alone, or image files only")
     elif overrides:
         raise ConfigError(f"--set {overrides[0]}: an image is drawn as it is; settings go to mvla image")
     else:
@@ -72,12 +73,19 @@ def draw_images(files: Sequence[Path], output: Path) -> None:
     save_figure(plot_comparison(images, [r.truth for r in results], masks, labels), output)
 
 
-def draw_waterfall(cir: Cir, output: Path, overrides: Sequence[str]) -> None:
-    """Draw PDPs against the view angle, with the peaks found in them."""
-    settings = imaging_settings(overrides)
-    chosen = select_views(cir.views, settings.views)
-    front = front_end(cir, settings, VoxelGrid.from_settings(settings.grid))
-    save_figure(plot_waterfall(front.pdp.select(chosen), cir.views.select(chosen), front.peaks.select(chosen)), output)
+def draw_waterfall(channel: Channel, output: Path, settings: ImagingSettings) -> None:
+    """Draw PDPs against the view angle, with the peaks found in them.
+
+    Raises
+    ------
+    DataError
+        The file holds components, which are no profiles.
+    """
+    chosen = select_views(channel.views, settings.views)
+    front = front_end(channel, settings, VoxelGrid.from_settings(settings.grid)).select(chosen)
+    if front.pdp is None:
+        raise DataError("this file holds ready-made components and no profiles; make an image of it and draw that")
+    save_figure(plot_waterfall(front.pdp, channel.views.select(chosen), front.peaks), output)
 
 
 def draw_scene(scene_file: Path, output: Path, overrides: Sequence[str]) -> None:

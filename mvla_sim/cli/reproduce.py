@@ -12,6 +12,7 @@ from rich.console import Console
 
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.cli.experiment import execute
+from mvla_sim.cli.measured import run_process
 from mvla_sim.cli.report import draw_examples, write_report
 from mvla_sim.config.experiment import load_experiment
 from mvla_sim.errors import DataError
@@ -20,12 +21,14 @@ from mvla_sim.scene.world import Scene
 from mvla_sim.sweep.checks import measure_cost, measure_phase
 from mvla_sim.sweep.plan import Plan, expand
 
-__all__ = ["EXPERIMENTS", "reproduce"]
+__all__ = ["EXPERIMENTS", "MEASURED", "reproduce"]
 
 EXPERIMENTS: Final = (
     "main", "kappa-eta", "star-optimal", "star-calibrated", "examples", "sensitivity-star", "sensitivity-map",
 )  # fmt: skip
 """Experiments in the order they run; the calibrated one needs the optimal one's table."""
+MEASURED: Final = ("vehicle", "vehicle-3d")
+"""Measurements that are processed, not swept."""
 QUICK_SKIPS: Final = ("sensitivity-star", "sensitivity-map")
 QUICK_OVERRIDES: Final = dict.fromkeys(("kappa-eta", "star-optimal", "star-calibrated"), ("axes.seed=[0]",))
 
@@ -59,7 +62,7 @@ def reproduce(
         An experiment file is missing; nothing has run by then.
     """
     names = [name for name in EXPERIMENTS if not (quick and name in QUICK_SKIPS)]
-    for name in names:
+    for name in (*names, *MEASURED):
         if not (experiments / f"{name}.toml").is_file():
             raise DataError(f"{experiments / name}.toml: no such experiment file; run this in a checkout, or name the "
                             f"folder with --experiments")  # fmt: skip
@@ -71,6 +74,10 @@ def reproduce(
         worst = max(worst, execute(plan, folder / name, out, errors, workers=workers))
         if name == "examples":
             draw_examples(plan, folder / name)
+        seconds[name] = time.perf_counter() - began
+    for name in MEASURED:
+        began = time.perf_counter()
+        run_process(experiments / f"{name}.toml", folder / name, (), out)
         seconds[name] = time.perf_counter() - began
     began = time.perf_counter()
     star = Scene.load(experiments.parent / "scenes" / "star.toml")

@@ -12,6 +12,7 @@ from mvla_sim.config.base import Settings, apply_overrides, assign, parse
 __all__ = [
     "METHOD_NAMES",
     "SHORT_NAMES",
+    "BeamSettings",
     "EvaluationSettings",
     "GridSettings",
     "ImagingSettings",
@@ -47,7 +48,8 @@ class GridSettings(Settings):
 class PdpSettings(Settings):
     """From paths to a band-limited power delay profile (``eq:PDP``)."""
 
-    window: Literal["hann", "hamming", "blackman", "rectangular"] = "hann"
+    window: Literal["hann", "hamming", "blackman", "kaiser", "rectangular"] = "hann"
+    kaiser_beta: Annotated[float, Field(ge=0, le=40, description="β of the Kaiser window")] = 6.0
     oversampling: Annotated[int, Field(ge=1, le=64, description="samples per 1/B of delay")] = 4
     gate_m: tuple[NonNegativeFloat, PositiveFloat] | None = Field(
         None, description="one-way range interval kept; by default the ranges at which the grid is seen"
@@ -101,6 +103,16 @@ class ViewSettings(Settings):
     offset: NonNegativeInt = 0
 
 
+class BeamSettings(Settings):
+    """Where a view's antennas reach; antennas without a pattern reach everywhere."""
+
+    edge_db: Annotated[float, Field(lt=0)] | None = Field(
+        -3.0,
+        description="one-way level below the peak at which the covered sector ends, where nothing is projected any "
+        "more; 'none': project everywhere",
+    )
+
+
 class ThresholdSettings(Settings):
     """Joint threshold (``eq:joint_thresholding_new``): the top p per cent of all voxels, then Θ ≥ T_θ."""
 
@@ -118,6 +130,7 @@ class ImagingSettings(Settings):
     peaks: PeakSettings = PeakSettings()
     mvla: MvlaSettings = MvlaSettings()
     views: ViewSettings = ViewSettings()
+    beam: BeamSettings = BeamSettings()
     threshold: ThresholdSettings | None = Field(None, description="also write the binary image at these thresholds")
 
 

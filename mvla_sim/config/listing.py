@@ -9,8 +9,11 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from mvla_sim.config.antenna import Horn
 from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings
+from mvla_sim.config.importing import ImportSettings
 from mvla_sim.config.scene import RadioSettings, RayTracingSettings
+from mvla_sim.config.synthesis import SynthesisSettings
 
 __all__ = ["Setting", "settings_of"]
 
@@ -19,11 +22,17 @@ Setting = tuple[str, str, str]
 
 
 def settings_of() -> dict[str, list[Setting]]:
-    """Settings of the three kinds: ``scene`` (for ``simulate``), ``imaging`` (for ``image``), ``evaluation``."""
+    """Settings by what they are for: ``scene`` for ``simulate``, ``imaging`` for ``image``, and so on."""
     return {
-        "scene": [*_walk(RadioSettings, "radio"), *_walk(RayTracingSettings, "ray_tracing")],
+        "scene": [
+            *_walk(RadioSettings, "radio"),
+            *list(_walk(Horn, "radio.antenna"))[1:],
+            *_walk(RayTracingSettings, "ray_tracing"),
+        ],
         "imaging": list(_walk(ImagingSettings, "")),
         "evaluation": list(_walk(EvaluationSettings, "")),
+        "import": list(_walk(ImportSettings, "")),
+        "synthesis": list(_walk(SynthesisSettings, "")),
     }
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mvla_sim.config.imaging import NoiseSettings
 from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.pdp import Pdp, frequency_count, window_weights
+from mvla_sim.imaging.pdp import Pdp, frequency_count
 from mvla_sim.streams import Stream, stream
 
 __all__ = ["add_noise"]
@@ -62,7 +62,7 @@ def _band_noise(random: np.random.Generator, pdp: Pdp) -> NDArray[np.complex128]
     """Circular Gaussian noise of mean power 1 that is white over the band before the window, ``[n_range]``."""
     samples = pdp.power.shape[1]
     count = frequency_count(samples, pdp.oversampling)
-    weights = window_weights(pdp.window, count)
+    weights = pdp.window.weights(count)
     draw = random.standard_normal(2 * count)
     length = count * pdp.oversampling
     noise = np.fft.ifft(weights * (draw[:count] + 1j * draw[count:]), length)[:samples]

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import Cir
+from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.config.imaging import PdpSettings
 from mvla_sim.constants import range_resolution, range_to_delay
-from mvla_sim.errors import DataError
+from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.imaging.windows import Window
 from mvla_sim.runtime.memory import check_memory
 from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.scene.views import Views
 
-__all__ = ["Pdp", "compute_pdp", "frequency_count", "gate_for", "window_broadening", "window_weights"]
+__all__ = ["Pdp", "compute_pdp", "frequency_count", "gate_for"]
 
 _MARGIN_CELLS = 16  # resolution cells kept on both sides of the gate, so that the DFT's wrap-around stays outside it
 _BYTES_PER_SAMPLE = 96  # amplitude and power, noise, and copies of them while they are made
-_COSINES = {"rectangular": (1.0,), "hann": (0.5, 0.5), "hamming": (0.54, 0.46), "blackman": (0.42, 0.5, 0.08)}
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Pdp:
     step_m: float
     resolution_m: float
     broadening: float
-    window: str = "rectangular"
+    window: Window = field(default_factory=Window)
     oversampling: int = 1
 
     @property
@@ -62,33 +64,20 @@ class Pdp:
         return replace(self, power=self.power[indices], amplitude=amplitude)
 
 
-def window_weights(name: str, count: int) -> NDArray[np.float64]:
-    """Weights of a cosine-sum window at ``count`` frequencies centred in equal shares of the band, ``[count]``."""
-    position = (np.arange(count) + 0.5) / count - 0.5
-    terms = _COSINES[name]
-    return np.asarray(sum(a * np.cos(2 * np.pi * k * position) for k, a in enumerate(terms)), np.float64)
-
-
-def window_broadening(name: str) -> float:
-    """Equivalent noise bandwidth of a window in units of 1/B: 1 for rectangular, 1.5 for Hann."""
-    terms = np.array(_COSINES[name])
-    return float((terms[0] ** 2 + 0.5 * (terms[1:] ** 2).sum()) / terms[0] ** 2)
-
-
-def gate_for(grid: VoxelGrid, positions_m: NDArray[np.float64], settings: PdpSettings) -> tuple[float, float]:
+def gate_for(grid: VoxelGrid, views: Views, settings: PdpSettings) -> tuple[float, float]:
     """Range gate (near, far) in metres: the setting, or all ranges at which the grid's voxels are seen."""
     if settings.gate_m is not None:
         return settings.gate_m
-    return grid.range_span_m(positions_m)
+    return grid.range_span_m(views.positions_m, views.receivers_m)
 
 
-def compute_pdp(cir: Cir, settings: PdpSettings, gate_m: tuple[float, float]) -> Pdp:
-    """Compute the clean power delay profiles of every view inside a range gate.
+def compute_pdp(channel: Cir | FrequencyResponse, settings: PdpSettings, gate_m: tuple[float, float]) -> Pdp:
+    """Compute the power delay profiles of every view inside a range gate, without any noise but the data's own.
 
     Parameters
     ----------
-    cir
-        The channel.
+    channel
+        Paths, or measured frequency responses.
     settings
         Window and oversampling.
     gate_m
@@ -97,28 +86,41 @@ def compute_pdp(cir: Cir, settings: PdpSettings, gate_m: tuple[float, float]) ->
     Raises
     ------
     DataError
-        The gate holds no path of any view; the message says where the paths are.
+        The gate holds no path of any view; the message says where the paths are. Or it reaches beyond the unambiguous
+        range of frequency responses.
+    ConfigError
+        The same for a gate that was set, or a gate that does not fit into memory.
 
     Notes
     -----
-    The channel is sampled at K = B·T frequencies over the band, with T the gate's length plus a margin:
+    Frequency responses are windowed over their band and transformed as they are, with zeros up to the oversampled axis:
+    h(τ) = Σ_k W_k H_k exp(j2πf_kτ) / Σ_k W_k. The gate is cut out afterwards, so nothing leaks in by the cut.
+
+    The channel of paths is sampled at K = B·T frequencies over the band, with T the gate's length plus a margin:
     H(f_k) = W(f_k) Σ_i g_i exp(−j2πf_k τ_i), an exact non-uniform DFT. With z_i = exp(−j2π(B/K)τ_i) and k = b·k₁ + k₂
     it is one matrix product, H[k₁, k₂] = Σ_i (g_i z_i^{b·k₁}) z_i^{k₂}, so only K/b + b powers a path are formed.
     The inverse FFT is zero-padded to the oversampled axis and divided by Σ W. Paths outside gate and margin are left
     out, as range gating before the transform would.
     """
-    resolution = range_resolution(cir.bandwidth_hz)
+    window = Window(settings.window, settings.kaiser_beta)
+    resolution = range_resolution(channel.bandwidth_hz)
     step = resolution / settings.oversampling
     first = max(0, int(np.floor(gate_m[0] / step)) - 1)  # a spare sample at both ends: the gate's own ends lie inside
     count = int(np.ceil(gate_m[1] / step)) + 1 - first + 1
     check_memory(
-        _BYTES_PER_SAMPLE * cir.n_view * float(count),
-        f"pdp.gate_m = [{gate_m[0]:g}, {gate_m[1]:g}]: profiles of {cir.n_view} views at steps of {step:.2g} m",
+        _BYTES_PER_SAMPLE * channel.n_view * float(count),
+        f"pdp.gate_m = [{gate_m[0]:g}, {gate_m[1]:g}]: profiles of {channel.n_view} views at steps of {step:.2g} m",
         "narrow the gate {factor:.2g} times",
     )
+    if isinstance(channel, FrequencyResponse):
+        _check_unambiguous(channel, settings, gate_m)
+        amplitude = _transformed(channel, window, settings.oversampling, first, count)
+        power = amplitude.real**2 + amplitude.imag**2
+        return Pdp(power, amplitude, first * step, step, resolution, window.broadening, window, settings.oversampling)
+    cir = channel
     margin = _MARGIN_CELLS * settings.oversampling
     frequencies = frequency_count(count, settings.oversampling)
-    weights = window_weights(settings.window, frequencies)
+    weights = window.weights(frequencies)
     spacing_hz = cir.bandwidth_hz / frequencies
     lowest_hz = -(frequencies - 1) / 2 * spacing_hz
     axis_start_s = float(range_to_delay((first - margin) * step))
@@ -147,8 +149,37 @@ def compute_pdp(cir: Cir, settings: PdpSettings, gate_m: tuple[float, float]) ->
         impulse = np.fft.ifft(spectrum, length)[margin : margin + count]
         amplitude[view] = impulse * turn * (length / weights.sum())
     power = amplitude.real**2 + amplitude.imag**2
-    broadening = window_broadening(settings.window)
-    return Pdp(power, amplitude, first * step, step, resolution, broadening, settings.window, settings.oversampling)
+    return Pdp(power, amplitude, first * step, step, resolution, window.broadening, window, settings.oversampling)
+
+
+def _check_unambiguous(channel: FrequencyResponse, settings: PdpSettings, gate_m: tuple[float, float]) -> None:
+    """Refuse a gate beyond which echoes have folded back."""
+    limit = channel.unambiguous_range_m
+    if gate_m[1] <= limit:
+        return
+    count = channel.response.shape[1]
+    why = (
+        f"{count} frequencies {channel.step_hz / 1e6:.4g} MHz apart give an unambiguous range of {limit:.2f} m; for "
+        f"{gate_m[1]:.2f} m sweep at least {int(np.ceil(count * gate_m[1] / limit))} points over the same band"
+    )
+    if settings.gate_m is not None:
+        raise ConfigError(f"pdp.gate_m = [{gate_m[0]:g}, {gate_m[1]:g}]: {why}")
+    raise DataError(f"the grid is seen at ranges of {gate_m[0]:.2f} to {gate_m[1]:.2f} m; {why}")
+
+
+def _transformed(
+    channel: FrequencyResponse, window: Window, oversampling: int, first: int, count: int
+) -> NDArray[np.complex128]:
+    """Windowed inverse FFT of every view at ``count`` samples from sample ``first`` on, ``[n_view, count]``."""
+    frequencies = channel.response.shape[1]
+    weights = window.weights(frequencies)
+    length = frequencies * oversampling
+    place = np.arange(first, first + count)
+    turn = np.exp(-1j * np.pi * (frequencies - 1) * place / length) * (length / weights.sum())
+    amplitude = np.empty((channel.n_view, count), np.complex128)
+    for view, response in enumerate(channel.response):
+        amplitude[view] = np.fft.ifft(weights * response, length)[place % length] * turn
+    return amplitude
 
 
 def frequency_count(samples: int, oversampling: int) -> int:

@@ -7,10 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.channel.cir import Cir
-from mvla_sim.config.imaging import ImagingSettings, MethodName, ViewSettings
+from mvla_sim.channel.components import Components
+from mvla_sim.channel.files import Channel
+from mvla_sim.channel.response import FrequencyResponse
+from mvla_sim.config.imaging import ImagingSettings, MethodName, NoiseSettings, ViewSettings
+from mvla_sim.constants import range_resolution
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.imaging.backprojection import backprojection_profiles
+from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.mvla import hard_profiles, kernel_scales, likelihood_profiles
 from mvla_sim.imaging.noise import add_noise
@@ -20,32 +24,64 @@ from mvla_sim.imaging.projection import RangeProfiles, check_grid, project
 from mvla_sim.imaging.threshold import joint_threshold
 from mvla_sim.runtime.provenance import provenance
 from mvla_sim.scene.grid import VoxelGrid
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 
 __all__ = ["FrontEnd", "front_end", "make_profiles", "reconstruct", "select_views"]
 
 
 @dataclass(frozen=True)
 class FrontEnd:
-    """What every method starts from: noisy profiles and the components found in them, for all views of a file."""
+    """What every method starts from, for all views of a file.
 
-    pdp: Pdp
+    Attributes
+    ----------
+    pdp
+        Noisy profiles; None for channels that hold components alone.
+    peaks
+        The components found in them, or the channel's own.
+    resolution_m
+        ΔR, metres.
+    """
+
+    pdp: Pdp | None
     peaks: Peaks
+    resolution_m: float
+
+    def select(self, indices: NDArray[np.intp]) -> FrontEnd:
+        """Return the given views, in the given order."""
+        pdp = None if self.pdp is None else self.pdp.select(indices)
+        return FrontEnd(pdp, self.peaks.select(indices), self.resolution_m)
 
 
-def front_end(cir: Cir, settings: ImagingSettings, grid: VoxelGrid) -> FrontEnd:
+def front_end(channel: Channel, settings: ImagingSettings, grid: VoxelGrid) -> FrontEnd:
     """Compute PDPs, add noise and, unless the method is BP, extract peaks, for all views of the file.
+
+    Components are taken as they are. Frequency responses are measured and get no noise but their own, unless the
+    settings ask for it by name.
 
     Raises
     ------
+    ConfigError
+        BP of components, which are no profiles, or a gate that does not fit the data.
     DataError
         No path inside the gate, or no peak in any view.
     """
-    gate = gate_for(grid, cir.views.positions_m, settings.pdp)
-    clean = compute_pdp(cir, settings.pdp, gate)
-    noisy = add_noise(clean, settings.noise)
-    peaks = Peaks.none(cir.n_view) if settings.method == "bp" else extract_peaks(noisy, settings.peaks)
-    return FrontEnd(noisy, peaks)
+    if isinstance(channel, Components):
+        if settings.method == "bp":
+            raise ConfigError("method = 'bp': this file holds ready-made components; bp needs profiles, use mvla-gr")
+        peaks = Peaks(channel.range_m, channel.power, channel.row_size)
+        return FrontEnd(None, peaks, range_resolution(channel.bandwidth_hz))
+    gate = gate_for(grid, channel.views, settings.pdp)
+    pdp = add_noise(compute_pdp(channel, settings.pdp, gate), _noise(channel, settings.noise))
+    peaks = Peaks.none(channel.n_view) if settings.method == "bp" else extract_peaks(pdp, settings.peaks)
+    return FrontEnd(pdp, peaks, pdp.resolution_m)
+
+
+def _noise(channel: Channel, settings: NoiseSettings) -> NoiseSettings:
+    """Settings of the noise that is really added: none to components, nor to measured channels unless it is set."""
+    asked = not isinstance(channel, FrequencyResponse) or "snr_db" in settings.model_fields_set
+    added = asked and not isinstance(channel, Components)
+    return settings if added else settings.model_copy(update={"snr_db": None})
 
 
 def select_views(views: Views, settings: ViewSettings) -> NDArray[np.intp]:
@@ -67,7 +103,8 @@ def select_views(views: Views, settings: ViewSettings) -> NDArray[np.intp]:
     if spacing == 0 or np.abs(steps - steps[0]).max() > 1e-3 * spacing:
         raise ConfigError(f"views.interval_deg = {settings.interval_deg:g}: the file's views are not evenly spaced")
     stride = round(settings.interval_deg / spacing)
-    strides = [k for k in range(1, len(views) + 1) if not (views.closed and len(views) % k)]
+    turn = min(len(views), round(360 / spacing)) if views.closed else len(views)  # of several turns, a turn each height
+    strides = [k for k in range(1, turn + 1) if not (views.closed and turn % k)]
     if stride not in strides or abs(stride * spacing - settings.interval_deg) > 1e-3 * spacing:
         allowed = [f"{k * spacing:.4g}" for k in strides]
         raise ConfigError(
@@ -84,21 +121,22 @@ def make_profiles(
 ) -> RangeProfiles:
     """Turn observations into the range profiles of a method; ``span_m`` are the ranges at which the grid is seen."""
     if method == "bp":
+        assert front.pdp is not None
         return backprojection_profiles(front.pdp)
     if method == "mvla-hard":
         tolerance = settings.mvla.tolerance_m
-        return hard_profiles(front.peaks, front.pdp.resolution_m if tolerance is None else tolerance, span_m)
-    sigma, radius = kernel_scales(settings.mvla, front.pdp.resolution_m, extent_m)
+        return hard_profiles(front.peaks, front.resolution_m if tolerance is None else tolerance, span_m)
+    sigma, radius = kernel_scales(settings.mvla, front.resolution_m, extent_m)
     return likelihood_profiles(front.peaks, sigma, radius, span_m)
 
 
-def reconstruct(cir: Cir, settings: ImagingSettings | None = None) -> Image:
-    """Make an image from a CIR.
+def reconstruct(channel: Channel, settings: ImagingSettings | None = None) -> Image:
+    """Make an image from a channel.
 
     Parameters
     ----------
-    cir
-        Channels of all views.
+    channel
+        All views: traced paths, measured frequency responses, or ready-made components.
     settings
         Method, grid, front end, noise and views; the defaults are the paper's.
 
@@ -115,22 +153,23 @@ def reconstruct(cir: Cir, settings: ImagingSettings | None = None) -> Image:
     settings = settings or ImagingSettings()
     grid = VoxelGrid.from_settings(settings.grid)
     check_grid(grid)
-    chosen = select_views(cir.views, settings.views)
-    front = front_end(cir, settings, grid)
-    views = cir.views.select(chosen)
-    front = FrontEnd(front.pdp.select(chosen), front.peaks.select(chosen))
+    chosen = select_views(channel.views, settings.views)
+    front = front_end(channel, settings, grid).select(chosen)
+    views = channel.views.select(chosen)
     if settings.method != "bp" and front.peaks.range_m.size == 0:
         raise DataError(
             f"no peak in any of the {len(views)} chosen views; lower peaks.threshold_sigma or raise the SNR"
         )
-    profiles = make_profiles(settings.method, front, settings, cir.extent_m, grid.range_span_m(cir.views.positions_m))
-    result = project(grid, views, profiles)
+    span = grid.range_span_m(channel.views.positions_m, channel.views.receivers_m)
+    profiles = make_profiles(settings.method, front, settings, channel.extent_m, span)
+    result = project(grid, views, profiles, beam=build_beam(channel.antenna, settings.beam))
     score = result.total if settings.method == "bp" else result.total / np.float32(len(views))
     occupied = None
     if settings.threshold is not None:
         occupied = joint_threshold(
             score, result.support_deg, settings.threshold.top_percent, settings.threshold.min_support_deg
         )
+    used = settings.model_copy(update={"noise": _noise(channel, settings.noise)})
     return Image(
         score=score,
         support_deg=result.support_deg,
@@ -138,7 +177,7 @@ def reconstruct(cir: Cir, settings: ImagingSettings | None = None) -> Image:
         method=settings.method,
         n_view=len(views),
         occupied=occupied,
-        outline=cir.outline,
-        config={"simulation": dict(cir.config), "imaging": settings.model_dump(mode="json")},
-        provenance={**provenance(), **{f"cir.{key}": value for key, value in cir.provenance.items()}},
+        outline=channel.outline,
+        config={"simulation": dict(channel.config), "imaging": used.model_dump(mode="json")},
+        provenance={**provenance(), **{f"cir.{key}": value for key, value in channel.provenance.items()}},
     )

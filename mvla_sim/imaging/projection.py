@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
 
 from mvla_sim.errors import ConfigError
+from mvla_sim.imaging.beam import Beam
 from mvla_sim.runtime.memory import USABLE, check_memory
+from mvla_sim.scene.antenna import STEP_DEG
 from mvla_sim.scene.grid import VoxelGrid
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 
 __all__ = ["Projection", "RangeProfiles", "check_grid", "project"]
 
 _BYTES_PER_VOXEL = 32  # score and Θ as float32, their copies while an image is made, ranked and written
 _BLOCK = 1 << 18  # voxels a kernel call: enough to fill the cores, few enough to stay in cache and memory
+_SAME_DEG = 1e-9  # angles this near to each other are one: coordinates of one direction are rounded to 1e-13 degrees
 _PER_LANE = {True: 2, False: 4}  # voxels a thread, with and without support: measured best on two AVX-512 cores
 
 
@@ -71,10 +75,13 @@ class Projection:
         Σ_m q_m per voxel, ``[nz, ny, nx]`` float32.
     support_deg
         Θ_n, ``[nz, ny, nx]`` float32, degrees (``eq:angular_support_range``); None without a distance table.
+    coverage
+        Number of views whose beam covers the voxel, ``[nz, ny, nx]`` float32; None without a beam.
     """
 
     total: NDArray[np.float32]
     support_deg: NDArray[np.float32] | None
+    coverage: NDArray[np.float32] | None = None
 
 
 def check_grid(grid: VoxelGrid) -> None:
@@ -96,7 +103,9 @@ def check_grid(grid: VoxelGrid) -> None:
     )
 
 
-def project(grid: VoxelGrid, views: Views, profiles: RangeProfiles, *, block: int = _BLOCK) -> Projection:
+def project(
+    grid: VoxelGrid, views: Views, profiles: RangeProfiles, *, beam: Beam | None = None, block: int = _BLOCK
+) -> Projection:
     """Project range profiles onto a grid.
 
     Parameters
@@ -108,6 +117,8 @@ def project(grid: VoxelGrid, views: Views, profiles: RangeProfiles, *, block: in
         cross 0°/360° where the trajectory is closed.
     profiles
         One profile a view.
+    beam
+        The sector that each view's antennas cover; a view adds nothing outside it. None: everywhere.
     block
         Voxels handled at a time; bounds the memory beyond the result, and changes nothing else.
 
@@ -120,12 +131,14 @@ def project(grid: VoxelGrid, views: Views, profiles: RangeProfiles, *, block: in
     -----
     Θ_n is the width, last angle minus first, of the longest run of consecutive supporting views. If all views of a
     closed trajectory support a voxel, the run can be cut anywhere, and the cut at the smallest gap is the widest:
-    Θ = 360° − min gap. Cost: O(M·N), whatever the number of peaks.
+    Θ = 360° − min gap. Views of one angle, as of sensors at several heights, are one direction, which supports a voxel
+    if any of them does. A direction from which no beam covers the voxel neither breaks nor extends a run. Of a pair, a
+    voxel is covered where both antennas cover it. Cost: O(M·N), whatever the number of peaks.
 
     Raises
     ------
     ConfigError
-        Profiles and views differ in number, or the grid does not fit into memory.
+        Profiles and views differ in number, no beam meets the grid, or the grid does not fit into memory.
     """
     if profiles.n_view != len(views):
         raise ConfigError(f"projection: {profiles.n_view} profiles for {len(views)} views")
@@ -136,12 +149,8 @@ def project(grid: VoxelGrid, views: Views, profiles: RangeProfiles, *, block: in
     import drjit as dr  # noqa: PLC0415 - only after the backend has chosen its library
 
     order, angles = _along(views)
-    gaps = np.diff(angles, prepend=angles[:1])
-    tables = kernels.Tables(
-        view=t.Float32(np.column_stack([views.positions_m[order], gaps]).astype(np.float32).ravel()),
-        values=_upload(t, profiles.values[order]),
-        distance=None if profiles.distance_m is None else _upload(t, profiles.distance_m[order]),
-    )
+    tables = _upload_tables(kernels, views.select(order), angles, profiles.select(order), beam)
+    gaps = np.diff(angles)
     nx, ny, _ = grid.counts
     with_support = tables.distance is not None
     per_lane = _PER_LANE[with_support]
@@ -156,30 +165,97 @@ def project(grid: VoxelGrid, views: Views, profiles: RangeProfiles, *, block: in
     )
     radius = dr.opaque(t.Float32, profiles.radius_m)
     wrap = 360.0 - float(angles[-1] - angles[0]) if views.closed else None
-    all_views = 360.0 - float(min(gaps[1:].min(initial=360.0), wrap)) if wrap is not None else None
-
     total = np.empty(grid.size, np.float32)
     support = np.empty(grid.size, np.float32) if with_support else None
+    coverage = np.empty(grid.size, np.float32) if beam is not None else None
     for start in range(0, grid.size, lanes * per_lane):
         outputs = kernels.project_block(
             tables, (*integers, *floats), axis, radius, dr.opaque(t.UInt32, start), lanes, per_lane, t
         )
-        dr.eval(outputs if with_support else outputs[0])
+        dr.eval(outputs)
         stop = min(start + lanes * per_lane, grid.size)
-        total[start:stop] = _join(outputs[0], stop - start)
+        found = {name: _join(arrays, stop - start) for name, arrays in outputs.items() if arrays}
+        total[start:stop] = found["total"]
         if support is not None:
-            longest, run, first, unbroken = (_join(part, stop - start) for part in outputs[1:])
-            if wrap is not None and all_views is not None:
-                joined = np.where((run >= 0) & (first >= 0), run + first + np.float32(wrap), 0)
-                longest = np.where(unbroken, np.float32(all_views), np.maximum(longest, joined))
-            support[start:stop] = longest
-    return Projection(total.reshape(grid.shape), None if support is None else support.reshape(grid.shape))
+            support[start:stop] = _support(found, gaps, wrap)
+        if coverage is not None:
+            coverage[start:stop] = found["coverage"]
+    if beam is not None and coverage is not None and not coverage.any():
+        raise ConfigError(
+            f"beam.edge_db = {beam.edge_db:g}: no view's beam meets the grid; turn the antennas (pointing), lower the "
+            "edge or move the grid"
+        )
+    return Projection(
+        total.reshape(grid.shape),
+        None if support is None else support.reshape(grid.shape),
+        None if coverage is None else coverage.reshape(grid.shape),
+    )
+
+
+def _support(
+    found: dict[str, NDArray[np.float32]], gaps: NDArray[np.float64], wrap: float | None
+) -> NDArray[np.float32]:
+    """Θ of every voxel from its runs: those at both ends of a closed trajectory are one."""
+    longest = found["longest"]
+    if wrap is None:
+        return longest
+    across: NDArray[np.float32] | np.float32 = np.float32(wrap)
+    least: NDArray[np.float32] | np.float32 = np.float32(gaps.min(initial=360.0))
+    every = found["unbroken"].astype(bool)
+    if "known" in found:
+        across = found["head"] + found["tail"] + across
+        least, every = found["least"], every & found["known"].astype(bool)
+    joined = np.where((found["run"] >= 0) & (found["first"] >= 0), found["run"] + found["first"] + across, 0)
+    return np.where(every, 360 - np.minimum(least, across), np.maximum(longest, joined)).astype(np.float32)
+
+
+def _upload_tables(
+    kernels: Any, views: Views, angles: NDArray[np.float64], profiles: RangeProfiles, beam: Beam | None
+) -> Any:
+    """Bring views, in the order of their angles ``[n_view]``, and their profiles to the device."""
+    t = kernels.BACKEND.arrays
+    gaps = np.diff(angles, prepend=angles[:1])
+    apart = np.append(gaps[1:] > _SAME_DEG, True)
+    return kernels.Tables(
+        view=_four(t, views.positions_m, gaps),
+        values=_upload(t, profiles.values),
+        distance=None if profiles.distance_m is None else _upload(t, profiles.distance_m),
+        receiver=None if views.receivers_m is None else _four(t, views.receivers_m, 0 * gaps),
+        beam=None if beam is None else _upload_beam(kernels, views, beam),
+        ends=None if beam is None and apart.all() else t.Float32(apart.astype(np.float32)),
+    )
+
+
+def _upload_beam(kernels: Any, views: Views, beam: Beam) -> Any:
+    import drjit as dr  # noqa: PLC0415 - only after the backend has chosen its library
+
+    t = kernels.BACKEND.arrays
+    ahead = views.directions
+    flat = np.hypot(ahead[:, 0], ahead[:, 1])
+    upright = flat == 0
+    azimuth = np.where(upright, 0.0, np.arctan2(ahead[:, 1], ahead[:, 0]))
+    frame = np.stack([np.cos(azimuth), np.sin(azimuth), flat], axis=1)
+    cuts = [np.append(cut, cut[-1]) for cut in (beam.antenna.azimuth_db, beam.antenna.elevation_db)]
+    return kernels.BeamTables(
+        ahead=_four(t, ahead, 0 * flat),
+        frame=_four(t, frame, 0 * flat),
+        azimuth=t.Float32(cuts[0].astype(np.float32)),
+        elevation=t.Float32(cuts[1].astype(np.float32)),
+        per_degree=dr.opaque(t.Float32, 1 / STEP_DEG),
+        edge_db=dr.opaque(t.Float32, beam.edge_db if beam.edge_db > beam.antenna.floor_db else -1e6),
+    )
+
+
+def _four(t: Any, triples: NDArray[np.float64], fourth: NDArray[np.float64]) -> Any:
+    """Flatten ``[n, 3]`` and ``[n]`` to four numbers a row on the device."""
+    return t.Float32(np.column_stack([triples, fourth]).astype(np.float32).ravel())
 
 
 def _along(views: Views) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Order of the views by angle, and their angles, rising; an open trajectory starts behind its widest gap."""
-    order = np.argsort(views.angles_deg, kind="stable")
-    angles = views.angles_deg[order]
+    around = np.where(views.angles_deg >= 360 - _SAME_DEG, views.angles_deg - 360, views.angles_deg)
+    order = np.argsort(around, kind="stable")
+    angles = around[order]
     if views.closed:
         return order, angles
     first = int(np.argmax(np.diff(angles, prepend=angles[-1] - 360)))

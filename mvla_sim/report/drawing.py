@@ -21,7 +21,7 @@ from mvla_sim.errors import DataError
 from mvla_sim.imaging.image import Image
 from mvla_sim.report.style import COLORS, MAPS, new_figure
 from mvla_sim.scene.grid import VoxelGrid
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 
 __all__ = [
     "METHOD_TITLES",

@@ -39,7 +39,7 @@ from mvla_sim.report.drawing import (
 )
 from mvla_sim.report.style import COLORS, DOUBLE_COLUMN_IN, MAPS, SINGLE_COLUMN_IN, figure_style, new_figure
 from mvla_sim.scene.grid import VoxelGrid
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 from mvla_sim.scene.world import Scene
 
 __all__ = ["plot_comparison", "plot_curves", "plot_image", "plot_scene", "plot_waterfall"]

@@ -17,7 +17,7 @@ FOLDER = "meshes"
 
 
 def export_mitsuba(scene: Scene, path: str | os.PathLike[str]) -> Path:
-    """Write a scene as Mitsuba XML, with one PLY file an object in a ``meshes`` folder beside it.
+    """Write a scene as Mitsuba XML, with one PLY file an object, or part of a car, in a ``meshes`` folder beside it.
 
     ``sionna.rt.load_scene(path)`` opens it with the objects' names and radio materials. Sensor positions, carrier
     and bandwidth are no part of the format.
@@ -43,8 +43,8 @@ def export_mitsuba(scene: Scene, path: str | os.PathLike[str]) -> Path:
     """
     target = Path(path)
     root = ET.Element("scene", version="2.1.0")
-    for index, item in enumerate(scene.objects):
-        root.append(_material(item.name, item.settings, f"{scene.name}: objects[{index}]"))
+    for item in scene.objects:
+        root.append(_material(item.name, item.settings, f"{scene.name}: objects[{item.index}]"))
     folder = target.parent / FOLDER
     try:
         folder.mkdir(exist_ok=True)

@@ -86,9 +86,20 @@ class VoxelGrid:
         center = np.asarray(self.center_m)
         return center - half, center + half
 
-    def range_span_m(self, positions: NDArray[np.float64]) -> tuple[float, float]:
-        """Nearest and farthest distance from any of the positions ``[n, 3]`` to a voxel centre, metres."""
+    def range_span_m(
+        self, positions: NDArray[np.float64], receivers: NDArray[np.float64] | None = None
+    ) -> tuple[float, float]:
+        """Nearest and farthest range from any of the positions ``[n, 3]`` to a voxel centre, metres.
+
+        With receivers ``[n, 3]`` ranges are bistatic, and the interval is a bound: no voxel lies outside it.
+        """
+        spans = [self._spans(positions)] if receivers is None else [self._spans(positions), self._spans(receivers)]
+        nearest, farthest = (sum(span[k] for span in spans) / len(spans) for k in (0, 1))
+        return float(np.min(nearest)), float(np.max(farthest))
+
+    def _spans(self, positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Nearest and farthest distance of each position to a voxel centre, ``[n]`` metres."""
         lower, upper = (np.array([a[0] for a in self.axes()]), np.array([a[-1] for a in self.axes()]))
         nearest = np.linalg.norm(np.clip(positions, lower, upper) - positions, axis=1)
         farthest = np.linalg.norm(np.maximum(positions - lower, upper - positions), axis=1)
-        return float(nearest.min()), float(farthest.max())
+        return nearest, farthest

@@ -1,4 +1,4 @@
-"""Meshes of objects: prisms and files, placed in the world, and where a horizontal plane cuts them."""
+"""Meshes of objects: prisms, files and cars, placed in the world; where a plane cuts them, and their plan view."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from shapely.geometry.polygon import orient
 
-from mvla_sim.config.scene import MeshFile, ObjectSettings
+from mvla_sim.config.scene import Car, MeshFile, ObjectSettings
 from mvla_sim.errors import DataError
 from mvla_sim.files import existing_file
 from mvla_sim.scene.shapes import outline
+from mvla_sim.scene.vehicle import car_parts
 
-__all__ = ["MESH_FORMATS", "build_mesh", "cross_section", "section_and_gap"]
+__all__ = ["MESH_FORMATS", "build_mesh", "build_parts", "cross_section", "footprint", "section_and_gap"]
 
 MESH_FORMATS: Final = ("glb", "obj", "off", "ply", "stl")
 """File formats that carry a whole mesh in one file; none of them can name another file that we would follow."""
@@ -37,7 +38,8 @@ NUDGE: Final = 4e-6
 def build_mesh(settings: ObjectSettings, key: str = "object") -> trimesh.Trimesh:
     """Mesh of an object in the world, metres: its shape, scaled, turned about the vertical axis, then placed.
 
-    Prisms are centred on their position in height; mesh files keep their own origin.
+    Prisms are centred on their position in height, cars stand on it; mesh files keep their own origin. A car's parts
+    are put into one mesh.
 
     Parameters
     ----------
@@ -58,11 +60,28 @@ def build_mesh(settings: ObjectSettings, key: str = "object") -> trimesh.Trimesh
     DataError
         A mesh file that is missing, of an unknown format, broken, empty, or of an implausible size.
     """
-    mesh = _read(settings) if isinstance(settings, MeshFile) else _prism(outline(settings, key), settings.height_m)
+    return trimesh.util.concatenate(list(build_parts(settings, key).values()))
+
+
+def build_parts(settings: ObjectSettings, key: str = "object") -> dict[str, trimesh.Trimesh]:
+    """Meshes of an object's parts in the world, metres, as of :func:`build_mesh`.
+
+    Returns
+    -------
+    dict of str to trimesh.Trimesh
+        A car's parts by their names; any other object is one part without a name.
+    """
+    if isinstance(settings, Car):
+        parts = car_parts(settings)
+    elif isinstance(settings, MeshFile):
+        parts = {"": _read(settings)}
+    else:
+        parts = {"": _prism(outline(settings, key), settings.height_m)}
     turn = trimesh.transformations.rotation_matrix(math.radians(settings.rotation_deg), [0, 0, 1])
     turn[:3, 3] = settings.position_m
-    mesh.apply_transform(turn)
-    return mesh
+    for mesh in parts.values():
+        mesh.apply_transform(turn)
+    return parts
 
 
 def cross_section(mesh: trimesh.Trimesh, height_m: float, what: str) -> shapely.Geometry:
@@ -139,6 +158,34 @@ def section_and_gap(mesh: trimesh.Trimesh, height_m: float) -> tuple[shapely.Geo
             gap = (float(x), float(y))
     area = shapely.build_area(lines).simplify(WELD * size)  # most points on straight lines are no corners
     return (area if area.area > (WELD * size) ** 2 else shapely.Polygon()), gap
+
+
+def footprint(mesh: trimesh.Trimesh) -> shapely.Geometry:
+    """Area that a mesh covers as seen from above.
+
+    Parameters
+    ----------
+    mesh
+        Any mesh, also an open one, or one of several parts.
+
+    Returns
+    -------
+    shapely.Polygon or shapely.MultiPolygon
+        Coordinates (x, y) in metres; empty if no face is seen from above.
+
+    Notes
+    -----
+    The union of the projected triangles, less those that are thinner than ``WELD`` × the mesh's size, as upright ones
+    are but for rounding. Cracks thinner than twice that are closed, so a hole is one that is really seen through.
+    """
+    width = WELD * float(np.linalg.norm(mesh.extents))
+    corners = np.asarray(mesh.vertices)[:, :2][np.asarray(mesh.faces)]  # [n_face, 3, 2]
+    sides = np.roll(corners, -1, axis=1) - corners
+    longest = np.hypot(sides[..., 0], sides[..., 1]).max(axis=1, initial=0.0)
+    doubled = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    area = shapely.union_all(shapely.polygons(corners[doubled > width * longest]))
+    closed = area.buffer(width, join_style="mitre").buffer(-width, join_style="mitre")
+    return closed.simplify(width)
 
 
 def _clear_height(mesh: trimesh.Trimesh, height_m: float, size: float) -> float:

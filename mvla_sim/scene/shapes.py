@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon as ShapelyPolygon
 from shapely.geometry.polygon import orient
 
-from mvla_sim.config.scene import Circle, MeshFile, ObjectSettings, Polygon, Rectangle, Square, Star, Triangle
+from mvla_sim.config.scene import Car, Circle, MeshFile, ObjectSettings, Polygon, Rectangle, Square, Star, Triangle
 from mvla_sim.errors import ConfigError
 
 __all__ = ["nominal_extent_m", "outline"]
@@ -24,7 +24,7 @@ def outline(settings: ObjectSettings, key: str = "object") -> ShapelyPolygon:
     Parameters
     ----------
     settings
-        Any object but a mesh file.
+        Any prism.
     key
         What the object is called in messages, for example ``objects[0]``.
 
@@ -36,7 +36,7 @@ def outline(settings: ObjectSettings, key: str = "object") -> ShapelyPolygon:
     Raises
     ------
     ConfigError
-        The polygon crosses itself, touches itself or has no area, or the object is a mesh file.
+        The polygon crosses itself, touches itself or has no area, or the object is no prism.
 
     Notes
     -----
@@ -52,8 +52,8 @@ def outline(settings: ObjectSettings, key: str = "object") -> ShapelyPolygon:
     >>> outline(Square(shape="square", side_m=2.0)).area
     4.0
     """
-    if isinstance(settings, MeshFile):
-        raise ConfigError(f"{key}: shape = 'mesh' has no outline of its own; it is cut from its file")
+    if isinstance(settings, MeshFile | Car):
+        raise ConfigError(f"{key}: shape = '{settings.shape}' has no outline of its own; it is cut from its mesh")
     shape = ShapelyPolygon(_VERTICES[type(settings)](settings))
     if not shape.is_valid:
         raise ConfigError(f"{key}.vertices_m: is not a simple polygon: {shapely.is_valid_reason(shape)}")

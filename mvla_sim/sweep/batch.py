@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import Cir
+from mvla_sim.config.antenna import AntennaSettings
 from mvla_sim.config.imaging import EvaluationSettings, GridSettings, ImagingSettings, PdpSettings
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.evaluate import Evaluation, evaluate, ground_truth
 from mvla_sim.evaluation.ground_truth import TruthGeometry
+from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.noise import add_noise
 from mvla_sim.imaging.pdp import Pdp, compute_pdp, gate_for
@@ -27,7 +29,7 @@ from mvla_sim.imaging.peaks import Peaks, extract_peaks
 from mvla_sim.imaging.pipeline import FrontEnd, make_profiles, select_views
 from mvla_sim.imaging.projection import RangeProfiles, project
 from mvla_sim.scene.grid import VoxelGrid
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 from mvla_sim.sweep.case import Case, Row
 
 __all__ = ["Batch", "Channel", "Outcome", "channel_key", "prepare", "reason", "results", "run_batch"]
@@ -50,12 +52,15 @@ class Channel:
         The target's extent D, metres.
     outline
         The target's cross-section; imaging never looks at it.
+    antenna
+        Pattern of the antennas, which tells where their beam reaches.
     """
 
     views: Views
     pdp: Pdp
     extent_m: float
     outline: Any
+    antenna: AntennaSettings
 
 
 @dataclass(frozen=True)
@@ -77,7 +82,7 @@ class Outcome:
 
 def channel_key(case: Case, views: Views) -> ChannelKey:
     """What decides a case's clean profiles: CIR, PDP settings, range gate in metres."""
-    gate = gate_for(VoxelGrid.from_settings(case.imaging.grid), views.positions_m, case.imaging.pdp)
+    gate = gate_for(VoxelGrid.from_settings(case.imaging.grid), views, case.imaging.pdp)
     return case.channel, case.imaging.pdp, gate
 
 
@@ -105,7 +110,7 @@ def prepare(file: Path, settings: PdpSettings, gate_m: tuple[float, float], *, w
     pdp = compute_pdp(cir, settings, gate_m)
     if not with_amplitude:
         pdp = replace(pdp, amplitude=None)
-    return Channel(cir.views, pdp, cir.extent_m, cir.outline)
+    return Channel(cir.views, pdp, cir.extent_m, cir.outline, cir.antenna)
 
 
 def run_batch(batch: Batch) -> list[Row]:
@@ -165,7 +170,8 @@ class _Worker:
         grid = VoxelGrid.from_settings(imaging.grid)
         chosen = select_views(channel.views, imaging.views)
         profiles = self._profiles(imaging, grid, chosen)
-        result = project(grid, channel.views.select(chosen), profiles)
+        beam = self.last.get("beam", imaging.beam, lambda: build_beam(channel.antenna, imaging.beam))
+        result = project(grid, channel.views.select(chosen), profiles, beam=beam)
         score = result.total if imaging.method == "bp" else result.total / np.float32(chosen.size)
         image = Image(score, result.support_deg, grid, imaging.method, chosen.size, outline=channel.outline)
         geometry = self._geometry(image, imaging.grid, case.evaluation)
@@ -176,9 +182,9 @@ class _Worker:
         """Profiles of the chosen views. Those with kernels are made for all views at once."""
         channel = self.channel
         pdp = self.last.get("noise", imaging.noise, lambda: add_noise(channel.pdp, imaging.noise))
-        span = grid.range_span_m(channel.views.positions_m)
+        span = grid.range_span_m(channel.views.positions_m, channel.views.receivers_m)
         if imaging.method == "bp":
-            front = FrontEnd(pdp.select(chosen), Peaks.none(chosen.size))
+            front = FrontEnd(pdp.select(chosen), Peaks.none(chosen.size), pdp.resolution_m)
             return make_profiles("bp", front, imaging, channel.extent_m, span)
         peaks = self.last.get("peaks", (imaging.noise, imaging.peaks), lambda: extract_peaks(pdp, imaging.peaks))
         if not peaks.row_size[chosen].any():
@@ -188,7 +194,9 @@ class _Worker:
         return self.last.get(
             "profiles",
             (imaging.method, imaging.mvla, imaging.noise, imaging.peaks, span),
-            lambda: make_profiles(imaging.method, FrontEnd(pdp, peaks), imaging, channel.extent_m, span),
+            lambda: make_profiles(
+                imaging.method, FrontEnd(pdp, peaks, pdp.resolution_m), imaging, channel.extent_m, span
+            ),
         ).select(chosen)
 
     def _geometry(self, image: Image, grid: GridSettings, settings: EvaluationSettings) -> TruthGeometry:

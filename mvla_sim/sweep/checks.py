@@ -15,7 +15,7 @@ from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.imaging.projection import project
 from mvla_sim.scene.grid import VoxelGrid
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 from mvla_sim.streams import Stream, stream
 
 __all__ = ["measure_cost", "measure_phase"]

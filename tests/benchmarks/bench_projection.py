@@ -24,7 +24,7 @@ from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import RangeProfiles, project
 from mvla_sim.runtime.machine import cpu_name
 from mvla_sim.scene.grid import VoxelGrid
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 
 sys.path.append(str(Path(__file__).parents[1] / "imaging"))
 import twin

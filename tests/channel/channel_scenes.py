@@ -8,13 +8,14 @@ from mvla_sim.channel.cir import Cir
 from mvla_sim.config.base import parse
 from mvla_sim.config.scene import SceneSettings
 from mvla_sim.constants import range_to_delay
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 from mvla_sim.scene.world import Scene
 
 
-def build(objects, trajectory, **ray_tracing):
-    """Scene of objects and a trajectory, both as in a scene file."""
+def build(objects, trajectory, radio=None, **ray_tracing):
+    """Scene of objects, a trajectory and a radio, all as in a scene file."""
     data = {"name": "test", "objects": objects, "trajectory": trajectory, "ray_tracing": ray_tracing}
+    data["radio"] = radio or {}
     return Scene.from_settings(parse(SceneSettings, data, "test"))
 
 

@@ -23,16 +23,18 @@ class Tracer:
     """Stands in for the ray tracer: paths that depend on the position alone; counts, and stops where it is told."""
 
     traced: int
+    asked: list[tuple]
     stop_at: int | None
     error: type[BaseException]
 
     def __init__(self, scene):
         self.scene = scene
 
-    def trace(self, position_m, _label="view"):
+    def trace(self, position_m, _label="view", *, receiver_m=None, boresight=None):
         if Tracer.traced == Tracer.stop_at:
             raise Tracer.error("stop")
         Tracer.traced += 1
+        Tracer.asked.append((position_m, receiver_m, boresight))
         rng = np.random.default_rng(int(1e6 + 1e3 * (position_m @ [1.0, 7.0, 3.0])))
         count = int(rng.integers(1, 5))
         gain = (rng.standard_normal(count) + 1j).astype(np.complex64)
@@ -45,6 +47,7 @@ def _fake(monkeypatch, tmp_path):
     monkeypatch.setenv("MVLA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(module, "ViewTracer", Tracer)
     monkeypatch.setattr(Tracer, "traced", 0, raising=False)
+    monkeypatch.setattr(Tracer, "asked", [], raising=False)
     monkeypatch.setattr(Tracer, "stop_at", None, raising=False)
     monkeypatch.setattr(Tracer, "error", KeyboardInterrupt, raising=False)
 
@@ -111,6 +114,46 @@ def test_changed_geometry_or_views_miss():
         build(TARGET, ring(30.0, radius_m=7.0)),
     ]
     assert len({cache_file(one) for one in scenes}) == len(scenes)
+
+
+def test_changed_pair_pointing_or_antenna_misses():
+    horn = {"antenna": {"kind": "horn"}}
+    turned = ring(30.0) | {"pointing": {"elevation_deg": 5.0}}
+    scenes = [
+        scene(),
+        build(TARGET, ring(30.0) | {"pair_separation_m": 0.2}),
+        build(TARGET, ring(30.0), horn),
+        build(TARGET, turned, horn),
+        build(TARGET, turned, {"antenna": horn["antenna"] | {"floor_db": -30.0}}),
+    ]
+    assert len({cache_file(one) for one in scenes}) == len(scenes)
+
+
+def test_tracer_is_asked_for_each_views_own_pair_and_direction():
+    simulate(scene())
+    assert all(receiver is None and boresight is None for _, receiver, boresight in Tracer.asked)
+    Tracer.asked.clear()
+    pairs = build(TARGET, ring(30.0) | {"pair_separation_m": 0.2}, {"antenna": {"kind": "horn"}})
+    cir = simulate(pairs)
+    positions, receivers, boresights = (np.array(column) for column in zip(*Tracer.asked, strict=True))
+    np.testing.assert_array_equal(positions, pairs.views.positions_m)
+    np.testing.assert_array_equal(receivers, pairs.views.receivers_m)
+    np.testing.assert_array_equal(boresights, pairs.views.directions)
+    np.testing.assert_array_equal(cir.views.receivers_m, pairs.views.receivers_m)
+    assert cir.antenna == pairs.settings.radio.antenna
+    same(cir, Cir.load(cache_file(pairs)))
+
+
+def test_moved_pattern_file_is_found_in_the_cache_and_keeps_its_new_name(tmp_path):
+    def measured(name):
+        file = tmp_path / name
+        file.write_text("angle_deg,azimuth_db\n-10,-3\n0,0\n10,-3\n")
+        return build(TARGET, ring(30.0), {"antenna": {"kind": "file", "file": str(file)}})
+
+    simulate(measured("one.csv"))
+    again = simulate(measured("other.csv"))
+    assert Tracer.traced == 12
+    assert again.antenna.file == str(tmp_path / "other.csv")
 
 
 def test_changed_version_of_the_engine_misses(monkeypatch):

@@ -233,7 +233,7 @@ def test_bad_files_are_one_line(work, tmp_path):
     shutil.copy(work / "cir.nc", tmp_path / "future.nc")
     with h5py.File(tmp_path / "future.nc", "a") as file:
         file.attrs["schema_version"] = 99
-    assert "version 99; this program reads version 1" in mvla(
+    assert "version 99; this program reads version 2" in mvla(
         "image", "future.nc", "-o", "o.nc", folder=tmp_path, code=2
     )
     assert "schema is" in mvla("evaluate", work / "cir.nc", folder=tmp_path, code=2)

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from mvla_sim.cli.reproduce import EXPERIMENTS, QUICK_OVERRIDES, QUICK_SKIPS
+from mvla_sim.cli.reproduce import EXPERIMENTS, MEASURED, QUICK_OVERRIDES, QUICK_SKIPS
 from mvla_sim.config.experiment import load_experiment
+from mvla_sim.config.process import load_process
+from mvla_sim.scene.world import Scene
 
 EXPERIMENT_FILES = Path(__file__).parents[2] / "experiments"
 SCENE = """
@@ -27,6 +29,16 @@ specular_rays = 2000
 GRID = "[imaging.grid]\nspacing_m = 0.25\n"
 STAR = 'snr_db = [0.0, 20.0]\nseed = [0, 1]\ninterval_deg = [30.0, 60.0]\nmethod = ["mvla-gr", "bp"]\n'
 VARIANTS = '[[variants]]\nlabel = "default"\n[[variants]]\nlabel = "3 σ"\nset = { threshold_sigma = 3.0 }\n'
+MEASUREMENT = """
+name = "{name}"
+scene = "../scenes/star.toml"
+truth = "../scenes/star.toml"
+[imaging.grid]
+size_m = [10, 10, {height}]
+spacing_m = 0.25
+[imaging.threshold]
+top_percent = 2.0
+"""
 MAP = 'scenes = ["../scenes/circle.toml"]\n'
 
 
@@ -45,6 +57,8 @@ def work(tmp_path_factory):
         more += '[calibration]\nfrom = "star-optimal"\n' if name == "star-calibrated" else ""
         text = f'name = "{name}"\n{scenes}{GRID}[axes]\n{axes}{more}'
         (folder / "experiments" / f"{name}.toml").write_text(text)
+    for name, height in zip(MEASURED, (0, 1), strict=True):
+        (folder / "experiments" / f"{name}.toml").write_text(MEASUREMENT.format(name=name, height=height))
     return folder
 
 
@@ -71,11 +85,11 @@ def test_everything_runs_and_the_report_can_be_rebuilt_from_what_is_stored(work)
     text = mvla("reproduce", folder=work)
     results = work / "results"
     assert "report.html" in text
-    assert {p.name for p in results.iterdir() if p.is_dir()} == set(EXPERIMENTS)
+    assert {p.name for p in results.iterdir() if p.is_dir()} == {*EXPERIMENTS, *MEASURED}
     checks = json.loads((results / "checks.json").read_text())
     assert set(checks) == {"c15", "c16"}
     assert max(checks["c16"]["largest_score_change"].values()) < 1e-5
-    assert set(json.loads((results / "run.json").read_text())["seconds"]) == {*EXPERIMENTS, "checks"}
+    assert set(json.loads((results / "run.json").read_text())["seconds"]) == {*EXPERIMENTS, *MEASURED, "checks"}
     page = (results / "report.html").read_bytes()
     assert b"Not run." not in page
     (results / "report.html").unlink()
@@ -98,3 +112,12 @@ def test_the_repositorys_experiments_are_valid_also_when_quick(name):
     settings = load_experiment(EXPERIMENT_FILES / f"{name}.toml", QUICK_OVERRIDES.get(name, ()))
     assert settings.name == name
     assert name not in QUICK_OVERRIDES or settings.axes["seed"] == (0,)
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_the_repositorys_measurements_are_valid(name):
+    settings = load_process(EXPERIMENT_FILES / f"{name}.toml")
+    assert settings.name == name
+    scene = Scene.load(settings.truth)
+    assert len(scene.views) in (36, 108)
+    assert settings.imaging.grid.spacing_m == {"vehicle": 0.005, "vehicle-3d": 0.05}[name]

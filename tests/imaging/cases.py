@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mvla_sim.channel.cir import Cir
+from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.constants import range_to_delay
 from mvla_sim.imaging.peaks import Peaks
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 
 RESOLUTION = 0.05
 BANDWIDTH = 299_792_458 / (2 * RESOLUTION)  # Hz: ΔR is 5 cm to the digit
@@ -61,11 +62,28 @@ def random_channel(seed, views, paths=40, low_m=7.0, high_m=13.0):
     return channel([list(zip(r, g, strict=True)) for r, g in zip(distance, gain, strict=True)], views)
 
 
-def scatterers(points_m, views, gain=1.0):
-    """A CIR of isotropic points: gain/R² at the range of each, with the carrier's phase."""
+def scatterers(points_m, views, gain=1.0, **fields):
+    """A CIR of isotropic points: gain over the product of both ways, at half their sum, with the carrier's phase."""
     wavelength = 299_792_458 / 36e9
+    receivers = views.positions_m if views.receivers_m is None else views.receivers_m
     rows = []
-    for position in views.positions_m:
-        r = np.linalg.norm(np.asarray(points_m) - position, axis=1)
-        rows.append(list(zip(r, gain / r**2 * np.exp(-4j * np.pi * r / wavelength), strict=True)))
-    return channel(rows, views)
+    for transmitter, receiver in zip(views.positions_m, receivers, strict=True):
+        there, back = (np.linalg.norm(np.asarray(points_m) - end, axis=1) for end in (transmitter, receiver))
+        phase = np.exp(-2j * np.pi * (there + back) / wavelength)
+        rows.append(list(zip((there + back) / 2, gain / (there * back) * phase, strict=True)))
+    return channel(rows, views, **fields)
+
+
+def response(paths, views, start_hz=36e9 - BANDWIDTH / 2, count=1001, bandwidth_hz=BANDWIDTH, **fields):
+    """The frequency responses of one list of (range, complex gain) a view, gains as in a CIR: carrier phase included.
+
+    H(f_k) = Σ g exp(−j2π(f_k − f_c)τ), f_c the middle of the band of ``count`` frequencies.
+    """
+    step = bandwidth_hz / count
+    offset = step * (np.arange(count) - (count - 1) / 2)
+    rows = []
+    for view in paths:
+        pairs = np.array(view, np.complex128).reshape(-1, 2)
+        delay = range_to_delay(pairs[:, 0].real)
+        rows.append((pairs[:, 1] * np.exp(-2j * np.pi * offset[:, None] * delay)).sum(axis=1))
+    return FrequencyResponse(np.array(rows), start_hz, step, views, **({"extent_m": 4.0} | fields))

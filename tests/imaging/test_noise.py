@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from mvla_sim.config.imaging import NoiseSettings, PdpSettings
 from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.noise import add_noise
-from mvla_sim.imaging.pdp import compute_pdp, window_weights
+from mvla_sim.imaging.pdp import compute_pdp
+from mvla_sim.imaging.windows import Window
 from mvla_sim.streams import stream
 
 VIEWS = 40
@@ -51,7 +52,7 @@ def test_realised_snr_is_the_one_asked_for(clean, kind, reference, snr_db):
     if (
         kind == "complex"
     ):  # of the window's spectrum W², so neighbours are alike: (Σ W²)²/(K Σ W⁴) of B·T are independent
-        weights = window_weights("hann", 4096)
+        weights = Window("hann").weights(4096)
         samples *= (weights**2).mean() ** 2 / (weights**4).mean() / clean.oversampling
     spread = np.sqrt((kurtosis - 1) / samples)  # of a mean square of so many samples
     assert np.abs(ratio - 1).max() < 5 * spread
@@ -125,7 +126,7 @@ def test_complex_noise_is_the_same_whatever_the_oversampling():
         noise = noisy.amplitude - clean.amplitude
         neighbours = (noise[:, 1:] * noise[:, :-1].conj()).real.mean() / (np.abs(noise) ** 2).mean()
         lag = 1 / oversampling
-        weights = window_weights("hann", 4096) ** 2
+        weights = Window("hann").weights(4096) ** 2
         band = (np.arange(4096) + 0.5) / 4096 - 0.5
         expected = (weights * np.cos(2 * np.pi * band * lag)).sum() / weights.sum()
         assert neighbours == pytest.approx(expected, abs=0.05)  # over 1,000 independent cells

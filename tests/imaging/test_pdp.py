@@ -6,17 +6,19 @@ import dataclasses
 
 import numpy as np
 import pytest
-from cases import BANDWIDTH, RESOLUTION, channel, random_channel, ring
+from cases import BANDWIDTH, RESOLUTION, channel, random_channel, response, ring
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mvla_sim.channel.cir import Cir
 from mvla_sim.config.imaging import PdpSettings
 from mvla_sim.constants import range_to_delay
-from mvla_sim.errors import DataError
-from mvla_sim.imaging.pdp import compute_pdp, window_broadening, window_weights
+from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.imaging.pdp import compute_pdp, gate_for
+from mvla_sim.imaging.windows import Window
+from mvla_sim.scene.grid import VoxelGrid
 
-WINDOWS = ("rectangular", "hann", "hamming", "blackman")
+WINDOWS = ("rectangular", "hann", "hamming", "blackman", "kaiser")
 ONE = ring(1)
 ROUNDING = 1e-11  # relative to the largest value: sums of some thousand double-precision terms with powers of phases
 
@@ -71,7 +73,7 @@ def test_equals_the_direct_transform(window, oversampling):
     samples = pdp.power.shape[1] + 2 * 16 * oversampling  # gate and a margin of 16 cells on both sides
     count = int(np.ceil(samples / oversampling))
     frequency = (np.arange(count) - (count - 1) / 2) * BANDWIDTH / count
-    weights = window_weights(window, count)
+    weights = Window(window).weights(count)
     for view in range(3):
         delay, gain = cir.delay_s[cir.rows(view)], cir.gain[cir.rows(view)].astype(complex)
         spectrum = weights * (gain * np.exp(-2j * np.pi * frequency[:, None] * delay)).sum(axis=1)
@@ -88,16 +90,16 @@ def test_energy_of_a_path_is_its_broadening(window):
     pdp = pdp_of([(10.0, 2.0)], gate=(2.0, 18.0), window=window)
     energy = pdp.power.sum() * pdp.step_m / RESOLUTION / 4.0
     # Without a window the sidelobes fall as 1/x² in power, and 2/(π²·160) = 0.13 % lies outside the gate.
-    assert energy == pytest.approx(window_broadening(window), rel=2e-3)
+    assert energy == pytest.approx(Window(window).broadening, rel=2e-3)
 
 
 @pytest.mark.parametrize(
     ("window", "broadening"), [("rectangular", 1), ("hann", 1.5), ("hamming", 1.363), ("blackman", 1.727)]
 )
 def test_windows_are_the_textbook_ones(window, broadening):
-    weights = window_weights(window, 4096)
-    assert window_broadening(window) == pytest.approx(broadening, abs=1e-3)  # as in Harris, Proc. IEEE 66(1), 1978
-    assert 4096 * (weights**2).sum() / weights.sum() ** 2 == pytest.approx(window_broadening(window), rel=1e-3)
+    weights = Window(window).weights(4096)
+    assert Window(window).broadening == pytest.approx(broadening, abs=1e-3)  # as in Harris, Proc. IEEE 66(1), 1978
+    assert 4096 * (weights**2).sum() / weights.sum() ** 2 == pytest.approx(Window(window).broadening, rel=1e-3)
     np.testing.assert_allclose(weights, weights[::-1], atol=1e-12)  # symmetric about the carrier
     assert weights.max() == pytest.approx(1, abs=1e-5)  # 4096 samples miss the middle by half a step
 
@@ -166,3 +168,92 @@ def test_views_are_independent():
     np.testing.assert_array_equal(whole.power, part.power)
     np.testing.assert_array_equal(whole.amplitude, part.amplitude)
     assert isinstance(cir.select(taken), Cir)
+
+
+# Frequency responses, as a network analyser sweeps them.
+
+
+def paths_of(cir):
+    """(range, gain) of each path of every view."""
+    return [list(zip(cir.range_m[r], cir.gain[r], strict=True)) for r in (cir.rows(m) for m in range(cir.n_view))]
+
+
+@pytest.mark.parametrize("window", ["hann", "blackman"])
+@pytest.mark.parametrize("oversampling", [1, 4])
+def test_swept_responses_have_the_profiles_of_the_paths_they_are_made_of(window, oversampling):
+    """Two routes, complex amplitudes included. The transforms differ in their number of frequencies K alone, and so in
+    how far away the images of a path are: K cells. For paths in a gate of 80 cells that is 33 or more with the K = 113
+    of the paths' own transform, where sidelobes that fall as 1/(πx³) are below 9·10⁻⁶ of the path."""
+    cir = random_channel(5, ring(3), low_m=8.0, high_m=12.0)
+    swept = response(paths_of(cir), cir.views, count=1001)
+    chosen = PdpSettings(window=window, oversampling=oversampling)
+    one, other = (compute_pdp(c, chosen, (8.0, 12.0)) for c in (cir, swept))
+    assert (one.window, one.oversampling) == (other.window, other.oversampling)
+    for name in ("start_m", "step_m", "resolution_m"):  # the band is K times a K-th of itself
+        assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-12)
+    total = np.abs(cir.gain).reshape(3, -1).sum(axis=1, keepdims=True)
+    assert (np.abs(one.amplitude - other.amplitude) < 2e-5 * total).all()  # images on both sides
+    np.testing.assert_array_equal(other.power, other.amplitude.real**2 + other.amplitude.imag**2)
+
+
+@settings(max_examples=30)
+@given(st.sampled_from(WINDOWS), st.floats(1.0, 48.0), st.floats(1e-6, 10), st.integers(4, 16), st.integers(1000, 1003))
+def test_isolated_echo_of_a_sweep_peaks_at_its_power_and_range(window, range_m, gain, oversampling, count):
+    """|g|² at the right range, near or far, whatever the phase and the number of points."""
+    swept = response([[(range_m, gain * np.exp(2j))]], ONE, count=count)
+    gate = (range_m - 0.7, range_m + 0.6)
+    pdp = compute_pdp(swept, PdpSettings(window=window, oversampling=oversampling), gate)
+    assert abs(pdp.range_m[pdp.power[0].argmax()] - range_m) <= 0.51 * pdp.step_m
+    assert at(pdp, range_m) == pytest.approx(gain**2, rel=0.01)  # a parabola, as above
+
+
+def test_sweep_has_the_resolution_of_its_band():
+    swept = response([[(10.0, 1.0)]], ONE, count=501, bandwidth_hz=BANDWIDTH / 2)
+    pdp = compute_pdp(swept, PdpSettings(), (8.0, 12.0))
+    assert pdp.resolution_m == pytest.approx(2 * RESOLUTION)
+    half = pdp.power[0] > 0.5 * pdp.power[0].max()
+    # Hann's main lobe is 1.44 cells wide at half power; counted in samples of a quarter of a cell.
+    assert half.sum() * pdp.step_m == pytest.approx(1.44 * 2 * RESOLUTION, abs=pdp.step_m)
+
+
+def test_gate_beyond_the_unambiguous_range_is_refused_with_the_points_that_reach_it():
+    """200 points over the band fold at 10 m; 240 are needed for 12 m, and are enough."""
+    said = r"200 frequencies .* MHz apart give an unambiguous range of 10\.00 m; for 12\.00 m sweep at least 240 points"
+    few, enough = (response([[(9.0, 1.0)]], ONE, count=count) for count in (200, 240))
+    with pytest.raises(ConfigError, match=rf"^pdp\.gate_m = \[8, 12\]: {said}") as set_:
+        compute_pdp(few, PdpSettings(gate_m=(8.0, 12.0)), (8.0, 12.0))
+    with pytest.raises(DataError, match=rf"^the grid is seen at ranges of 8\.00 to 12\.00 m; {said}") as default:
+        compute_pdp(few, PdpSettings(), (8.0, 12.0))
+    for caught in (set_, default):
+        assert "\n" not in str(caught.value)
+    limit = few.unambiguous_range_m
+    assert compute_pdp(few, PdpSettings(), (8.0, limit)).power.max() == pytest.approx(1, rel=1e-6)  # 9 m is a sample
+    assert compute_pdp(enough, PdpSettings(gate_m=(8.0, 12.0)), (8.0, 12.0)).power.max() == pytest.approx(1, rel=1e-6)
+
+
+def test_echo_beyond_the_unambiguous_range_folds_back():
+    """Which is why such gates are refused: at 13 m it looks like one at 3 m."""
+    folded = response([[(13.0, 1.0)]], ONE, count=200)
+    pdp = compute_pdp(folded, PdpSettings(), (1.0, 9.0))
+    assert pdp.range_m[pdp.power[0].argmax()] == pytest.approx(3.0, abs=0.51 * pdp.step_m)
+
+
+def test_phase_per_view_of_a_sweep_changes_nothing():
+    cir = random_channel(6, ring(4))
+    swept = response(paths_of(cir), cir.views)
+    phase = np.random.default_rng(0).uniform(0, 2 * np.pi, 4)
+    one, other = (compute_pdp(c, PdpSettings(), (7.0, 13.0)).power for c in (swept, swept.with_phases(phase)))
+    assert np.abs(one - other).max() < ROUNDING * one.max()
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_default_gate_of_pairs_holds_every_bistatic_range(seed):
+    rng = np.random.default_rng(seed)
+    views = dataclasses.replace(ring(4), receivers_m=rng.uniform(-15, 15, (4, 3)))
+    grid = VoxelGrid((0.2, 0.1, 0.0), (9, 8, 3), 0.5)
+    near, far = gate_for(grid, views, PdpSettings())
+    there, back = (np.linalg.norm(grid.centers()[:, None] - e, axis=2) for e in (views.positions_m, views.receivers_m))
+    assert near <= ((there + back) / 2).min()
+    assert far >= ((there + back) / 2).max()
+    assert gate_for(grid, views, PdpSettings(gate_m=(1.0, 2.0))) == (1.0, 2.0)

@@ -14,7 +14,7 @@ from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.imaging.pipeline import front_end, reconstruct, select_views
 from mvla_sim.imaging.threshold import joint_threshold
 from mvla_sim.scene.grid import VoxelGrid
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 
 SMALL = {"grid.size_m": [4.0, 4.0, 0.0], "grid.spacing_m": 0.05}
 POINTS = [[1.0, 0.5, 0.0], [-0.8, -0.4, 0.0], [0.3, -1.2, 0.0]]
@@ -143,6 +143,18 @@ def test_every_interval_and_offset_partitions_the_views():
 def test_turntable_views_run_backwards_and_are_selected_alike():
     views = views_at(-15.0 * np.arange(24))
     assert select_views(views, ViewSettings(interval_deg=45.0, offset=1)).tolist() == list(range(1, 24, 3))
+
+
+def test_interval_is_chosen_alike_at_every_height():
+    """A circle of 24 views at each of two heights; every 16th, 240°, would divide the 48 views but no turn of 24."""
+    views = views_at(np.tile(15.0 * np.arange(24), 2))
+    for interval, stride in ((15.0, 1), (30.0, 2), (120.0, 8)):
+        chosen = select_views(views, ViewSettings(interval_deg=interval, offset=stride - 1))
+        one = np.arange(stride - 1, 24, stride)
+        assert chosen.tolist() == [*one, *(24 + one)]
+    for interval in (240.0, 720.0, 80.0):
+        with pytest.raises(ConfigError, match=r"does not divide.*allowed: 15, 30, 45, 60, 90, 120, 180, 360$"):
+            select_views(views, ViewSettings(interval_deg=interval))
 
 
 @pytest.mark.parametrize(

@@ -248,7 +248,7 @@ def test_projecting_needs_no_other_import_first():
 import numpy as np
 from mvla_sim.imaging.projection import RangeProfiles, project
 from mvla_sim.scene.grid import VoxelGrid
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 views = Views(np.array([[10.0, 0.0, 0.0]]), np.zeros(1), (0.0, 0.0))
 profiles = RangeProfiles(np.ones((1, 50), np.float32), 8.0, 0.1)
 assert project(VoxelGrid((0, 0, 0), (1, 1, 1), 0.1), views, profiles).total.item() == 1

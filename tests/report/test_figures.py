@@ -26,7 +26,7 @@ from mvla_sim.report.drawing import FALSE, HIT, MISS, angle_axis, angle_cells
 from mvla_sim.report.figures import plot_comparison, plot_image, plot_scene, plot_waterfall
 from mvla_sim.report.style import PNG_DPI, save_figure
 from mvla_sim.scene.grid import VoxelGrid
-from mvla_sim.scene.trajectory import Views
+from mvla_sim.scene.views import Views
 from mvla_sim.scene.world import Scene
 
 SCENES = Path(__file__).parents[2] / "scenes"

@@ -92,7 +92,7 @@ def test_report_is_whole_in_itself(results):
     assert "<script" not in text
     assert "&lt;script&gt;" in text
     assert "a &amp; b" in text
-    assert text.count("Not run.") == 1  # the examples
+    assert text.count("Not run.") == 2  # the examples, the vehicle
     claims = pd.read_csv(results / "claims.csv")
     assert claims["number"].tolist() == [f"C{n}" for n in range(1, 17)]
     assert set(pd.read_csv(results / "thresholds.csv")["snr_db"]) == {0.0, 10.0, 20.0}
@@ -115,10 +115,25 @@ def test_tables_without_a_usable_case_count_as_not_run(results, tmp_path, conten
     (tmp_path / "star-optimal").mkdir()
     (tmp_path / "star-optimal" / "table.csv").write_text(content)
     text = write_report(tmp_path).read_text(encoding="utf-8")
-    assert text.count("Not run.") == 5
+    assert text.count("Not run.") == 6
     claims = pd.read_csv(tmp_path / "claims.csv").set_index("number")["verdict"]
     assert claims["C3"] == "not tested"
     assert claims["C1"] != "not tested"
+
+
+def test_a_processed_vehicle_is_shown_and_judged(results, tmp_path):
+    shutil.copytree(results, tmp_path / "all")
+    vehicle = tmp_path / "all" / "vehicle"
+    vehicle.mkdir()
+    figures = {f"{who}_{what}": value for who in ("result", "target") for what, value in
+               (("length_m", 4.25), ("width_m", 1.75), ("aspect", 2.43), ("orientation_deg", 0.5))}  # fmt: skip
+    scores = {"orientation_error_deg": 0.0, "accuracy_m": 0.042, "completeness_m": 0.081, "cd_db": -18.4}
+    (vehicle / "result.json").write_text(json.dumps(figures | scores))
+    text = write_report(tmp_path / "all").read_text(encoding="utf-8")
+    assert "result to outline 4.2 cm" in text
+    assert "4.25 × 1.75 m for 4.25 × 1.75 m" in text
+    claims = pd.read_csv(tmp_path / "all" / "claims.csv").set_index("number")
+    assert claims.loc["C14", "verdict"] == "holds"
 
 
 def test_failed_and_missing_cases_are_named_on_top_and_in_the_claims(results, tmp_path):

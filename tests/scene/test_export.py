@@ -47,6 +47,9 @@ print(json.dumps(out))
 """
 
 
+DIRECTIVE = {"scattering_pattern": {"kind": "directive"}}
+
+
 def build(*objects):
     return Scene.from_settings(SceneSettings.model_validate({"name": "test", "objects": list(objects)}))
 
@@ -71,6 +74,7 @@ def test_sionna_opens_what_was_written(tmp_path):
             "material": {"relative_permittivity": 3.5, "conductivity_s_per_m": 0.75},
             **common,
         },
+        {"shape": "car", "position_m": (0, -4, -0.9), "rotation_deg": 30.0},
     )
     file = export_mitsuba(world, tmp_path / "out scene.xml")
     library = Path(sys.prefix) / "lib" / "libLLVM.so"
@@ -95,11 +99,13 @@ def test_sionna_opens_what_was_written(tmp_path):
         assert seen["thickness"] == pytest.approx(item.settings.thickness_m, rel=1e-6)  # single precision, as below
         assert seen["scattering"] == pytest.approx(item.settings.scattering_coefficient, rel=1e-6)
         assert seen["xpd"] == pytest.approx(item.settings.xpd_coefficient, abs=1e-6)
-    assert [found[o.name]["itu"] for o in world.objects] == ["metal", "concrete", "concrete", None]
+    itu = [found[o.name]["itu"] for o in world.objects]
+    assert itu == ["metal", "concrete", "concrete", None, "metal", "glass", "metal", *[None] * 4, "metal", "metal"]
     own = found["triangle-3"]
     assert own["kind"] == "RadioMaterial"
     assert own["permittivity"] == pytest.approx(3.5)
     assert own["conductivity"] == pytest.approx(0.75)
+    assert found["car-4-wheel-front-left"]["permittivity"] == pytest.approx(4.0)
 
 
 def test_each_object_is_a_closed_ply_beside_the_scene(tmp_path):
@@ -122,11 +128,15 @@ def test_writing_again_gives_the_same_bytes(tmp_path):
 
 
 def test_a_pattern_that_the_format_cannot_hold_is_refused_before_anything_is_written(tmp_path):
-    world = build({"shape": "star", "scattering_pattern": {"kind": "directive"}})
+    world = build({"shape": "star", **DIRECTIVE})
     with pytest.raises(ConfigError, match=r"test: objects\[0\]\.scattering_pattern\.kind = 'directive'"):
         export_mitsuba(world, tmp_path / "scene.xml")
+    with pytest.raises(ConfigError, match=r"test: objects\[1\]\.scattering_pattern\.kind"):  # a car is one entry
+        export_mitsuba(
+            build({"shape": "car"}, {"shape": "star", "position_m": (0, 4, 0), **DIRECTIVE}), tmp_path / "scene.xml"
+        )
     assert not list(tmp_path.iterdir())
-    smooth = build({"shape": "star", "scattering_pattern": {"kind": "directive"}, "scattering_coefficient": 0.0})
+    smooth = build({"shape": "star", **DIRECTIVE, "scattering_coefficient": 0.0})
     assert export_mitsuba(smooth, tmp_path / "scene.xml").exists()  # without scattering the pattern has no effect
 
 

@@ -1,0 +1,1 @@
+"""Readers of channel files that other programs wrote."""

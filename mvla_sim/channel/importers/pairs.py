@@ -1,0 +1,217 @@
+"""What every reader of foreign ray-tracing files returns: the paths between pairs of transmitter and receiver."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mvla_sim.channel.cir import INTERACTIONS
+from mvla_sim.errors import ConfigError, DataError
+
+__all__ = ["PairPaths", "PairSelection", "drop_line_of_sight", "join_pairs", "select_pairs"]
+
+PairSelection = Literal["co-located", "all", "auto"]
+"""Which pairs to keep: sensors that hear their own signal, every pair, or the former where there is one."""
+
+_LONGEST_DELAY_S: Final = 1.0
+_LARGEST_COORDINATE_M: Final = 1e9
+_LARGEST_GAIN: Final = 1e10
+"""Beyond these a file is damaged or in other units, and squares of its numbers could leave the range of float32."""
+
+
+@dataclass(frozen=True)
+class PairPaths:
+    """Paths between pairs of transmitter and receiver; pair after pair, within a pair by rising delay.
+
+    Attributes
+    ----------
+    transmitters_m, receivers_m
+        Position of the transmitter and the receiver of each pair, ``[n_pair, 3]`` float64, metres.
+    row_size
+        Paths of each pair, ``[n_pair]`` int64; may be 0.
+    gain
+        Complex baseband gain of each path, carrier phase included, ``[n_path]`` complex128; |gain|² is received over
+        transmitted power.
+    delay_s
+        Absolute delay from transmitter by way of the target to receiver, ``[n_path]`` float64, seconds.
+    interaction
+        Bits of :data:`~mvla_sim.channel.cir.INTERACTIONS`, ``[n_path]`` uint8; 0 says that the path is direct, never
+        that its interactions are unknown.
+    first_point_m
+        First interaction point, ``[n_path, 3]`` float32, metres; NaN where unknown and on direct paths.
+    carrier_hz
+        Carrier frequency, hertz; None where the file does not tell.
+    source
+        Where the paths are from and what was decided in reading them, as text.
+    """
+
+    transmitters_m: NDArray[np.float64]
+    receivers_m: NDArray[np.float64]
+    row_size: NDArray[np.int64]
+    gain: NDArray[np.complex128]
+    delay_s: NDArray[np.float64]
+    interaction: NDArray[np.uint8]
+    first_point_m: NDArray[np.float32]
+    carrier_hz: float | None
+    source: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check shapes, values and order."""
+        self._check_shapes()
+        for name in ("transmitters_m", "receivers_m"):
+            if not (np.abs(getattr(self, name)) <= _LARGEST_COORDINATE_M).all():
+                raise DataError(f"paths: {name} holds NaN or values beyond ±{_LARGEST_COORDINATE_M:g} m")
+        wrong = ~((self.delay_s >= 0) & (self.delay_s <= _LONGEST_DELAY_S))
+        if wrong.any():
+            raise DataError(
+                f"paths: delay {self.delay_s[wrong][0]:g} s; delays must be absolute, from 0 to {_LONGEST_DELAY_S:g} s"
+            )
+        with np.errstate(all="ignore"):
+            strong = ~(np.abs(self.gain) <= _LARGEST_GAIN)
+        if strong.any():
+            raise DataError(f"paths: a gain is NaN or above {20 * np.log10(_LARGEST_GAIN):.0f} dB")
+        if (np.diff(self.delay_s)[np.diff(self.pair_index) == 0] < 0).any():
+            raise DataError("paths: the paths of a pair are not in the order of rising delay")
+        if (self.interaction > sum(INTERACTIONS.values())).any():
+            raise DataError(f"paths: interaction {self.interaction.max()} has bits other than those of {INTERACTIONS}")
+        unknown = np.isnan(self.first_point_m)
+        if (unknown.any(axis=1) != unknown.all(axis=1)).any():
+            raise DataError("paths: first_point_m has points that are NaN in one coordinate only")
+        if (np.abs(self.first_point_m) > _LARGEST_COORDINATE_M).any():
+            raise DataError(f"paths: first_point_m holds values beyond ±{_LARGEST_COORDINATE_M:g} m")
+        if self.carrier_hz is not None and not 0 < self.carrier_hz < np.inf:
+            raise DataError(f"paths: carrier {self.carrier_hz:g} Hz must be above 0 and finite")
+
+    def _check_shapes(self) -> None:
+        pairs, paths = self.row_size.size, self.gain.size
+        wanted = {
+            "transmitters_m": (pairs, 3), "receivers_m": (pairs, 3), "row_size": (pairs,), "gain": (paths,),
+            "delay_s": (paths,), "interaction": (paths,), "first_point_m": (paths, 3),
+        }  # fmt: skip
+        for name, shape in wanted.items():
+            if getattr(self, name).shape != shape:
+                raise DataError(f"paths: {name} has shape {getattr(self, name).shape}, must be {shape}")
+        if (self.row_size < 0).any() or (self.row_size > paths).any() or self.row_size.sum() != paths:
+            raise DataError(f"paths: row_size must be at least 0 and add up to {paths} paths")
+
+    @property
+    def n_pair(self) -> int:
+        """Number of pairs."""
+        return self.row_size.size
+
+    @property
+    def n_path(self) -> int:
+        """Number of paths of all pairs."""
+        return self.gain.size
+
+    @cached_property
+    def pair_index(self) -> NDArray[np.int64]:
+        """Pair of each path, ``[n_path]``."""
+        return np.repeat(np.arange(self.n_pair, dtype=np.int64), self.row_size)
+
+    @property
+    def distance_m(self) -> NDArray[np.float64]:
+        """Distance between transmitter and receiver, ``[n_pair]`` metres."""
+        distance: NDArray[np.float64] = np.linalg.norm(self.transmitters_m - self.receivers_m, axis=1)
+        return distance
+
+    @property
+    def line_of_sight(self) -> NDArray[np.bool_]:
+        """Whether a path is direct, without any interaction, ``[n_path]``."""
+        direct: NDArray[np.bool_] = self.interaction == 0
+        return direct
+
+
+def join_pairs(parts: Sequence[PairPaths], source: Mapping[str, str]) -> PairPaths:
+    """Return the pairs of several files as one, in the order given, with ``source`` as their provenance.
+
+    Raises
+    ------
+    DataError
+        There is none, or their carriers differ.
+    """
+    if not parts:
+        raise DataError("paths: there is no pair of transmitter and receiver")
+    carriers = sorted({str(part.carrier_hz) for part in parts})
+    if len(carriers) > 1:
+        raise DataError(f"paths: files of different carriers ({' and '.join(carriers[:2])} Hz) cannot be joined")
+    return PairPaths(
+        transmitters_m=np.concatenate([part.transmitters_m for part in parts]),
+        receivers_m=np.concatenate([part.receivers_m for part in parts]),
+        row_size=np.concatenate([part.row_size for part in parts]),
+        gain=np.concatenate([part.gain for part in parts]),
+        delay_s=np.concatenate([part.delay_s for part in parts]),
+        interaction=np.concatenate([part.interaction for part in parts]),
+        first_point_m=np.concatenate([part.first_point_m for part in parts]),
+        carrier_hz=parts[0].carrier_hz,
+        source=dict(source),
+    )
+
+
+def select_pairs(paths: PairPaths, which: PairSelection, tolerance_m: float) -> PairPaths:
+    """Keep the pairs whose transmitter and receiver are one sensor, or all.
+
+    Parameters
+    ----------
+    paths
+        Any pairs.
+    which
+        ``"co-located"``: only pairs no further apart than the tolerance; ``"all"``: every pair; ``"auto"``: the
+        co-located ones if there is any, else all.
+    tolerance_m
+        Largest distance of a co-located pair, metres.
+
+    Raises
+    ------
+    ConfigError
+        ``which`` is none of these, or the tolerance is negative or not finite.
+    DataError
+        Co-located pairs are asked for and there is none.
+    """
+    if which not in ("co-located", "all", "auto"):
+        raise ConfigError(f"which = {which!r}: unknown; allowed: 'co-located', 'all', 'auto'")
+    if not 0 <= tolerance_m < np.inf:
+        raise ConfigError(f"tolerance_m = {tolerance_m:g}: must be at least 0 and finite")
+    distance = paths.distance_m
+    near = distance <= tolerance_m
+    if which == "all" or (which == "auto" and not near.any()):
+        return replace(paths, source={**paths.source, "pairs": f"all {paths.n_pair}"})
+    if not near.any():
+        closest = f"the closest are {distance.min():g} m apart" if distance.size else "there is no pair at all"
+        raise DataError(f"paths: no transmitter and receiver within {tolerance_m:g} m of each other; {closest}")
+    return replace(
+        _keep_paths(paths, near[paths.pair_index]),
+        transmitters_m=paths.transmitters_m[near],
+        receivers_m=paths.receivers_m[near],
+        row_size=paths.row_size[near],
+        source={
+            **paths.source,
+            "pairs": f"the {np.count_nonzero(near)} of {paths.n_pair} that are co-located within {tolerance_m:g} m",
+        },
+    )
+
+
+def drop_line_of_sight(paths: PairPaths) -> PairPaths:
+    """Remove the direct paths; a pair that has no other stays, with no path."""
+    direct = paths.line_of_sight
+    return replace(
+        _keep_paths(paths, ~direct),
+        source={**paths.source, "direct_paths_dropped": str(np.count_nonzero(direct))},
+    )
+
+
+def _keep_paths(paths: PairPaths, keep: NDArray[np.bool_]) -> PairPaths:
+    """Return every pair with those of its paths that are to be kept, ``[n_path]``."""
+    return replace(
+        paths,
+        row_size=np.bincount(paths.pair_index[keep], minlength=paths.n_pair).astype(np.int64),
+        gain=paths.gain[keep],
+        delay_s=paths.delay_s[keep],
+        interaction=paths.interaction[keep],
+        first_point_m=paths.first_point_m[keep],
+    )
