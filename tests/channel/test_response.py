@@ -273,3 +273,11 @@ def test_selection_and_phases_leave_the_rest_alone():
 def test_inconsistent_objects_are_refused(name, value, match):
     with pytest.raises(DataError, match=match):
         dataclasses.replace(random_response(), **{name: value})
+
+
+def test_a_heap_that_never_ends_is_refused(tmp_path):
+    """An object of index 0 and size 0 in a heap of attribute texts: HDF5 itself would walk on the spot for ever."""
+    file = tmp_path / "r.nc"
+    file.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(40) + b"GCOL\x01\0\0\0" + (4096).to_bytes(8, "little") + bytes(64))
+    with pytest.raises(DataError, match=r"r\.nc: not a readable NetCDF-4 file"):
+        FrequencyResponse.load(file)
