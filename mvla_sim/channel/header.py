@@ -14,6 +14,7 @@ from mvla_sim.config.antenna import AntennaSettings, Omni
 from mvla_sim.config.base import Settings, parse
 from mvla_sim.errors import DataError
 from mvla_sim.netcdf import table_of
+from mvla_sim.scene.antenna import self_contained
 from mvla_sim.scene.views import Views
 
 __all__ = ["HEADER", "Described", "check_radio", "header_attributes", "header_fields", "header_variables"]
@@ -84,7 +85,7 @@ def header_attributes(channel: Described, schema: str, version: int) -> dict[str
         "schema_version": version,
         "config": json.dumps(dict(channel.config), sort_keys=True),
         "provenance": json.dumps(dict(channel.provenance), sort_keys=True),
-        "antenna": channel.antenna.model_dump_json(),
+        "antenna": self_contained(channel.antenna).model_dump_json(),
     }
     if channel.outline is not None:
         attributes["target_outline_wkt"] = shapely.to_wkt(channel.outline, rounding_precision=9)

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from mvla_sim.config.base import Settings
 
-__all__ = ["AntennaSettings", "Horn", "Omni", "PatternFile", "PointingSettings"]
+__all__ = ["AntennaSettings", "Horn", "Omni", "PatternCuts", "PatternFile", "PointingSettings"]
 
 Beamwidth = Annotated[float, Field(ge=1, le=180)]  # patterns have nodes 0.25° apart
 PeakGain = Annotated[
@@ -41,7 +41,16 @@ class PatternFile(Settings):
     gain_dbi: PeakGain = None
 
 
-AntennaSettings = Annotated[Omni | Horn | PatternFile, Field(discriminator="kind")]
+class PatternCuts(Settings):
+    """The two cuts of a pattern file as channel files carry them, so that they do without it."""
+
+    kind: Literal["cuts"]
+    azimuth_db: Annotated[tuple[float, ...], Field(min_length=1441, max_length=1441)]
+    elevation_db: Annotated[tuple[float, ...], Field(min_length=721, max_length=721)]
+    gain_dbi: float
+
+
+AntennaSettings = Annotated[Omni | Horn | PatternFile | PatternCuts, Field(discriminator="kind")]
 
 
 class PointingSettings(Settings):

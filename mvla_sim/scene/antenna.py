@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.config.antenna import AntennaSettings, Horn, Omni
+from mvla_sim.config.antenna import AntennaSettings, Horn, Omni, PatternCuts, PatternFile
 from mvla_sim.errors import DataError
 from mvla_sim.scene.positions import read_columns
 
-__all__ = ["STEP_DEG", "Antenna", "build_antenna", "local_angles"]
+__all__ = ["STEP_DEG", "Antenna", "build_antenna", "local_angles", "self_contained"]
 
 STEP_DEG = 0.25
 HALF_POWER_DB = 10 * np.log10(2)
@@ -71,6 +71,9 @@ def build_antenna(settings: AntennaSettings) -> Antenna | None:
     """
     if isinstance(settings, Omni):
         return None
+    if isinstance(settings, PatternCuts):
+        azimuth, elevation = np.array(settings.azimuth_db), np.array(settings.elevation_db)
+        return Antenna(azimuth, elevation, float(min(azimuth.min(), elevation.min())), settings.gain_dbi)
     if isinstance(settings, Horn):
         vertical = settings.elevation_beamwidth_deg or settings.azimuth_beamwidth_deg
         azimuth = _lobe(settings, settings.azimuth_beamwidth_deg, AZIMUTHS_DEG)
@@ -81,6 +84,21 @@ def build_antenna(settings: AntennaSettings) -> Antenna | None:
         floor = float(min(azimuth.min(), elevation.min()))
     gain = settings.gain_dbi if settings.gain_dbi is not None else _directivity_dbi(azimuth, elevation, floor)
     return Antenna(azimuth, elevation, floor, gain)
+
+
+def self_contained(settings: AntennaSettings) -> AntennaSettings:
+    """Replace a pattern file by its cuts, to 0.001 dB; any other antenna stays as it is.
+
+    Raises
+    ------
+    DataError
+        A pattern file that cannot be used.
+    """
+    pattern = build_antenna(settings) if isinstance(settings, PatternFile) else None
+    if pattern is None:
+        return settings
+    cuts = (tuple(np.round(cut, 3).tolist()) for cut in (pattern.azimuth_db, pattern.elevation_db))
+    return PatternCuts(kind="cuts", azimuth_db=next(cuts), elevation_db=next(cuts), gain_dbi=pattern.gain_dbi)
 
 
 def local_angles(

@@ -17,14 +17,14 @@ from hypothesis import strategies as st
 
 from mvla_sim.channel.files import load_channel
 from mvla_sim.channel.response import RESPONSE_SCHEMA, RESPONSE_VERSION, FrequencyResponse
-from mvla_sim.config.antenna import Horn, Omni, PatternFile
+from mvla_sim.config.antenna import Horn, Omni, PatternCuts
 from mvla_sim.constants import SPEED_OF_LIGHT
 from mvla_sim.errors import DataError, OutputError
 
 ANTENNAS = (
     Omni(),
     Horn(kind="horn", azimuth_beamwidth_deg=20.0, elevation_beamwidth_deg=9.5, shape="cosine", gain_dbi=21.5),
-    PatternFile(kind="file", file="pattern.csv"),
+    PatternCuts(kind="cuts", azimuth_db=(0.0,) * 1441, elevation_db=(-1.5,) * 721, gain_dbi=3.0),
 )
 
 

@@ -7,11 +7,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.config.antenna import Horn, Omni, PatternFile
 from mvla_sim.config.base import parse
 from mvla_sim.config.scene import RadioSettings, SceneSettings
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.scene.antenna import build_antenna, local_angles
+from mvla_sim.scene.views import Views
 from mvla_sim.scene.world import Scene
 
 HALF_DB = -10 * np.log10(2)
@@ -262,3 +264,19 @@ def test_fingerprint_follows_a_patterns_content_and_not_its_place(tmp_path):
     assert scene_with(edited).fingerprint() != before
     one.write_bytes(edited.read_bytes())
     assert scene_with(one).fingerprint() == scene_with(edited).fingerprint()
+
+
+def test_a_channel_file_does_without_its_pattern_file(tmp_path):
+    """The cuts travel with the data: the sector is the same when the CSV file is gone, to the 0.001 dB they keep."""
+    csv = tmp_path / "pattern.csv"
+    csv.write_text("angle_deg,azimuth_db\n-90,-30\n-7.2,-3\n0,0\n8,-3.5\n90,-30\n")
+    antenna = PatternFile(kind="file", file=str(csv))
+    before = build_antenna(antenna)
+    angle = np.deg2rad([0.0, 90.0, 180.0])
+    views = Views(np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), np.rad2deg(angle), (0.0, 0.0))
+    FrequencyResponse(np.ones((3, 4), complex), 36e9, 1e6, views, antenna=antenna).save(tmp_path / "r.nc")
+    csv.unlink()
+    after = build_antenna(FrequencyResponse.load(tmp_path / "r.nc").antenna)
+    np.testing.assert_allclose(after.azimuth_db, before.azimuth_db, atol=6e-4)
+    np.testing.assert_allclose(after.elevation_db, before.elevation_db, atol=6e-4)
+    assert after.gain_dbi == before.gain_dbi
