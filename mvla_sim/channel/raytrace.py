@@ -287,6 +287,8 @@ class ViewTracer:
                 raise ConfigError(
                     f"{scene.name}: radio.carrier_hz = {scene.settings.radio.carrier_hz:g}: {error}"
                 ) from error
+        for item in objects:
+            _make_opaque(item.radio_material)
         array = rt.PlanarArray(
             num_rows=1, num_cols=1, vertical_spacing=0.5, horizontal_spacing=0.5,
             pattern="iso", polarization=scene.settings.radio.polarization,
@@ -332,6 +334,17 @@ def _launch_into(window: LaunchWindow) -> Iterator[None]:
         yield
     finally:
         sb_deterministic.fibonacci_lattice = whole
+
+
+def _make_opaque(material: Any) -> None:
+    """Keep a material's constants out of the kernels, which would be compiled anew for each scene's."""
+    import drjit as dr  # noqa: PLC0415
+    import mitsuba as mi  # noqa: PLC0415
+
+    for name in (
+        "relative_permittivity", "conductivity", "thickness", "scattering_coefficient", "xpd_coefficient",
+    ):  # fmt: skip
+        setattr(material, name, dr.opaque(mi.Float, float(getattr(material, name)[0])))
 
 
 def _material(rt: Any, item: SceneObject, number: int) -> Any:
