@@ -2,9 +2,9 @@
 
 The stages, in the order data flows::
 
-    scene ──► channel ──► imaging ──► evaluation ──► sweep ──► report
-    mesh,      rays →      PDP →       contour,       plan,     figures
-    views      CIR         image       score          run
+    scene ──► channel ──► imaging ──► evaluation ──► sweep ──► dataset ──► report
+    mesh,      rays →      PDP →       contour,       plan,     draw,       figures
+    views      CIR         image       score          run       shard
 
 Names of the paper, of the code, and their units:
 
@@ -44,12 +44,16 @@ if TYPE_CHECKING:
     from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings, imaging_settings
     from mvla_sim.config.importing import import_settings
     from mvla_sim.config.process import load_process
+    from mvla_sim.dataset.access import open_dataset
+    from mvla_sim.dataset.build import build_dataset
+    from mvla_sim.dataset.score import score_dataset
     from mvla_sim.errors import MvlaError
     from mvla_sim.evaluation.evaluate import evaluate
     from mvla_sim.evaluation.process import process
     from mvla_sim.evaluation.shape import bounding_box
     from mvla_sim.imaging.export import export_image
     from mvla_sim.imaging.image import Image
+    from mvla_sim.imaging.observation import Observation
     from mvla_sim.imaging.pipeline import reconstruct
     from mvla_sim.report.figures import plot_comparison, plot_image, plot_scene
     from mvla_sim.report.style import save_figure
@@ -65,8 +69,10 @@ _HOMES = {
     "Image": "imaging.image",
     "ImagingSettings": "config.imaging",
     "MvlaError": "errors",
+    "Observation": "imaging.observation",
     "Scene": "scene.world",
     "bounding_box": "evaluation.shape",
+    "build_dataset": "dataset.build",
     "evaluate": "evaluation.evaluate",
     "export_image": "imaging.export",
     "imaging_settings": "config.imaging",
@@ -74,12 +80,14 @@ _HOMES = {
     "import_settings": "config.importing",
     "load_channel": "channel.files",
     "load_process": "config.process",
+    "open_dataset": "dataset.access",
     "plot_comparison": "report.figures",
     "plot_image": "report.figures",
     "plot_scene": "report.figures",
     "process": "evaluation.process",
     "reconstruct": "imaging.pipeline",
     "save_figure": "report.style",
+    "score_dataset": "dataset.score",
     "simulate": "channel.simulate",
     "synthesize": "channel.synthesis",
     "write_campaign": "channel.synthesis",
@@ -93,8 +101,10 @@ __all__ = [
     "Image",
     "ImagingSettings",
     "MvlaError",
+    "Observation",
     "Scene",
     "bounding_box",
+    "build_dataset",
     "evaluate",
     "export_image",
     "imaging_settings",
@@ -102,12 +112,14 @@ __all__ = [
     "import_settings",
     "load_channel",
     "load_process",
+    "open_dataset",
     "plot_comparison",
     "plot_image",
     "plot_scene",
     "process",
     "reconstruct",
     "save_figure",
+    "score_dataset",
     "simulate",
     "synthesize",
     "write_campaign",

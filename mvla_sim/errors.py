@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["ConfigError", "DataError", "MvlaError", "OutputError", "RuntimeUnfitError"]
+__all__ = ["ConfigError", "DataError", "MvlaError", "OutputError", "RuntimeUnfitError", "reason"]
 
 
 class MvlaError(Exception):
@@ -28,3 +28,9 @@ class OutputError(MvlaError):
 
 class RuntimeUnfitError(MvlaError):
     """This machine cannot run the compiled kernels as it is set up; the message says what mends it."""
+
+
+def reason(error: BaseException) -> str:
+    """Type and message of an error in one line."""
+    name = type(error).__name__
+    return f"{name}: {' '.join(str(error).split())}" if str(error) else name

@@ -16,6 +16,9 @@ class Stream(IntEnum):
     SPECKLE = 2
     PHASE = 3
     MEASUREMENT = 4
+    SAMPLE = 5
+    SPLIT = 6
+    RECOMPUTE = 7
 
 
 def stream(seed: int, name: Stream, *key: int) -> np.random.Generator:

@@ -17,7 +17,7 @@ from mvla_sim.channel.cir import SCHEMA_VERSION, Cir
 from mvla_sim.channel.raytrace import ViewPaths, ViewTracer
 from mvla_sim.config.antenna import Omni
 from mvla_sim.errors import DataError, MvlaError, OutputError
-from mvla_sim.runtime.cache import cache_folder
+from mvla_sim.runtime.cache import cache_folder, discard, pull, push
 from mvla_sim.runtime.interrupt import deferred_interrupt
 from mvla_sim.runtime.progress import progress
 from mvla_sim.runtime.provenance import provenance
@@ -72,6 +72,8 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
         Ctrl-C; with ``cache`` the views traced so far are kept for the next run.
     """
     kept = cache_file(scene) if cache else None
+    if kept is not None:
+        pull(kept)
     if kept is not None and (cached := _load(kept)) is not None:
         settings = scene.settings  # an equal scene, and an equal pattern file, may bear another name
         return replace(cached, config=settings.model_dump(mode="json"), antenna=settings.radio.antenna)
@@ -104,6 +106,7 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
         try:
             kept.parent.mkdir(parents=True, exist_ok=True)
             cir.save(kept)
+            push(kept)
         except (OSError, OutputError) as error:  # the result is whole; only the next run will have to trace again
             logging.getLogger("mvla_sim").warning("mvla: note: not cached: %s", error)
         partial.unlink(missing_ok=True)
@@ -125,7 +128,7 @@ def _load(path: Path) -> Cir | None:
     try:
         return Cir.load(path)
     except DataError:
-        path.unlink(missing_ok=True)
+        discard(path)
         return None
 
 

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from typer.exceptions import TyperException
 
 from mvla_sim import __version__
+from mvla_sim.cli.datasets import dataset_app
+from mvla_sim.cli.options import CacheUrl, Output, Overrides, Scheduler, Workers, errors, note, out
 from mvla_sim.errors import ConfigError, MvlaError
 from mvla_sim.runtime.interrupt import INTERRUPTED
 
@@ -24,20 +25,14 @@ app = typer.Typer(
 )
 scene_app = typer.Typer(help="Look at scenes and export them.")
 app.add_typer(scene_app, name="scene")
+app.add_typer(dataset_app, name="dataset")
 
-errors = Console(stderr=True, soft_wrap=True, highlight=False)
-out = Console(soft_wrap=True, highlight=False)
-
-Overrides = Annotated[
-    list[str] | None, typer.Option("--set", help="Override a setting: dotted.key=value. May be repeated.")
-]
-Output = Annotated[Path, typer.Option("--output", "-o", help="File to write.")]
 SceneFile = Annotated[Path, typer.Argument(help="A scene file (TOML), as in scenes/.")]
 
 
 def run(arguments: list[str]) -> int:
     """Run the command line and return its exit code; errors of the package are one line and code 2."""
-    if arguments in ([], ["scene"]):
+    if arguments in ([], ["scene"], ["dataset"]):
         arguments = [*arguments, "--help"]
     try:
         code = app(arguments, standalone_mode=False)
@@ -123,7 +118,7 @@ def simulate(
 def image(
     cir_file: Annotated[Path, typer.Argument(metavar="CHANNEL.nc", help="A CIR file, or another of mvla import.")],
     output: Output,
-    method: Annotated[str | None, typer.Option(help="mvla-gr, mvla-hard or bp.")] = None,
+    method: Annotated[str | None, typer.Option(help="mvla-gr, mvla-hard, bp, or file.py:function.")] = None,
     snr: Annotated[str | None, typer.Option(help="SNR in dB, or 'none' for no noise.")] = None,
     interval: Annotated[float | None, typer.Option(help="Use a view every so many degrees.")] = None,
     offset: Annotated[int | None, typer.Option(help="First view used.")] = None,
@@ -210,7 +205,9 @@ def run_experiment(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show what would run, and about how long, and stop.")
     ] = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes; default one a core.")] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    cache_url: CacheUrl = None,
     yes: Annotated[bool, typer.Option("--yes", help="Run even very many cases.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Discard the cases stored in the folder.")] = False,
     overrides: Overrides = None,
@@ -222,6 +219,8 @@ def run_experiment(
     """
     from mvla_sim.cli.experiment import execute, show_plan
     from mvla_sim.config.experiment import load_experiment
+    from mvla_sim.runtime.cache import shared_cache
+    from mvla_sim.runtime.cluster import open_cluster
     from mvla_sim.runtime.machine import core_count
     from mvla_sim.sweep.plan import CASE_LIMIT, expand
 
@@ -229,9 +228,11 @@ def run_experiment(
     folder = output or Path("results") / settings.name
     plan = expand(settings, folder, None if yes else CASE_LIMIT)
     if dry_run:
-        show_plan(plan, folder, workers or core_count(), out)
+        show_plan(plan, folder, core_count() if workers is None else max(1, workers), out)
         return
-    raise typer.Exit(execute(plan, folder, out, errors, workers=workers, fresh=fresh))
+    with shared_cache(cache_url), open_cluster(workers, scheduler, note) as cluster:
+        code = execute(plan, folder, out, errors, cluster=cluster, fresh=fresh)
+    raise typer.Exit(code)
 
 
 @app.command(name="import")
@@ -296,12 +297,18 @@ def reproduce(
     output: ResultsFolder = Path("results"),
     experiments: Annotated[Path, typer.Option(help="Folder with the experiment files.")] = Path("experiments"),
     quick: Annotated[bool, typer.Option("--quick", help="One noise seed, no sensitivity study.")] = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes; default one a core.")] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    cache_url: CacheUrl = None,
 ) -> None:
     """Run every experiment of the paper that is not stored yet, judge its claims, and write the report."""
     from mvla_sim.cli.reproduce import reproduce as run_all
+    from mvla_sim.runtime.cache import shared_cache
+    from mvla_sim.runtime.cluster import open_cluster
 
-    raise typer.Exit(run_all(experiments, output, out, errors, quick=quick, workers=workers))
+    with shared_cache(cache_url), open_cluster(workers, scheduler, note) as cluster:
+        code = run_all(experiments, output, out, errors, quick=quick, cluster=cluster)
+    raise typer.Exit(code)
 
 
 @app.command()

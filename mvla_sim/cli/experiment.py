@@ -15,6 +15,7 @@ from mvla_sim.cli.pictures import draw_waterfall, truth_of
 from mvla_sim.config.imaging import imaging_settings
 from mvla_sim.report.figures import plot_comparison, plot_curves, plot_image, plot_scene
 from mvla_sim.report.style import save_figure
+from mvla_sim.runtime.cluster import Cluster
 from mvla_sim.sweep.batch import Outcome
 from mvla_sim.sweep.case import Case
 from mvla_sim.sweep.plan import Plan
@@ -51,9 +52,7 @@ def show_plan(plan: Plan, folder: Path, workers: int, out: Console) -> None:
     out.print(f"time:     about {_duration(found.seconds)} with {workers} workers ({basis})", markup=False)
 
 
-def execute(
-    plan: Plan, folder: Path, out: Console, errors: Console, *, workers: int | None = None, fresh: bool = False
-) -> int:
+def execute(plan: Plan, folder: Path, out: Console, errors: Console, *, cluster: Cluster, fresh: bool = False) -> int:
     """Run what is missing, draw the pictures the experiment asks for, print the main columns.
 
     Returns
@@ -61,7 +60,7 @@ def execute(
     int
         Exit code: 1 where a case failed or is missing, else 0.
     """
-    result = run_plan(plan, folder, workers=workers, fresh=fresh)
+    result = run_plan(plan, folder, cluster=cluster, fresh=fresh)
     for note in result.notes:
         errors.print(f"mvla: note: {note}", markup=False)
     pictures = [*_draw_shown(plan, folder), *_draw_curve(plan, result.table, folder)]

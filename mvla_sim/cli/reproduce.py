@@ -17,6 +17,7 @@ from mvla_sim.cli.report import draw_examples, write_report
 from mvla_sim.config.experiment import load_experiment
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
+from mvla_sim.runtime.cluster import Cluster
 from mvla_sim.scene.world import Scene
 from mvla_sim.sweep.checks import measure_cost, measure_phase
 from mvla_sim.sweep.plan import Plan, expand
@@ -34,7 +35,7 @@ QUICK_OVERRIDES: Final = dict.fromkeys(("kappa-eta", "star-optimal", "star-calib
 
 
 def reproduce(
-    experiments: Path, folder: Path, out: Console, errors: Console, *, quick: bool = False, workers: int | None = None
+    experiments: Path, folder: Path, out: Console, errors: Console, *, cluster: Cluster, quick: bool = False
 ) -> int:
     """Run the experiments, the checks, and build the report from what they stored.
 
@@ -46,10 +47,10 @@ def reproduce(
         Folder of the results; one sub-folder an experiment.
     out, errors
         Where to print.
+    cluster
+        What runs the cases.
     quick
         One noise seed, and no sensitivity study.
-    workers
-        Worker processes.
 
     Returns
     -------
@@ -71,7 +72,7 @@ def reproduce(
     for name in names:
         began = time.perf_counter()
         plan = _plan(experiments, folder, name, QUICK_OVERRIDES.get(name, ()) if quick else ())
-        worst = max(worst, execute(plan, folder / name, out, errors, workers=workers))
+        worst = max(worst, execute(plan, folder / name, out, errors, cluster=cluster))
         if name == "examples":
             draw_examples(plan, folder / name)
         seconds[name] = time.perf_counter() - began

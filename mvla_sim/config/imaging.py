@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, model_validator
+from pydantic import AfterValidator, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, model_validator
 
 from mvla_sim.config.base import Settings, apply_overrides, assign, parse
 
 __all__ = [
+    "METHOD_GROUP",
     "METHOD_NAMES",
     "SHORT_NAMES",
     "BeamSettings",
@@ -24,10 +27,37 @@ __all__ = [
     "ThresholdSettings",
     "ViewSettings",
     "imaging_settings",
+    "split_method",
 ]
 
-MethodName = Literal["mvla-gr", "mvla-hard", "bp"]
-METHOD_NAMES: tuple[str, ...] = ("mvla-gr", "mvla-hard", "bp")
+METHOD_NAMES: Final = (
+    "mvla-gr",
+    "mvla-hard",
+    "bp",
+)  # fmt: skip
+"""Methods of this package; each is a module of :mod:`mvla_sim.imaging.methods`."""
+METHOD_GROUP: Final = "mvla_sim.methods"
+"""Group of the entry points under which other packages offer methods."""
+
+
+def split_method(name: str) -> tuple[Path, str] | None:
+    """File and function of a method named ``file.py:function``; None for a name of another kind."""
+    file, colon, function = name.rpartition(":")
+    if not (colon and file.endswith(".py")):
+        file, function = name, "image"
+    return (Path(file).expanduser(), function) if file.endswith(".py") and function.isidentifier() else None
+
+
+def _check_method(name: str) -> str:
+    if name in METHOD_NAMES or split_method(name) is not None:
+        return name
+    offered = sorted(point.name for point in entry_points(group=METHOD_GROUP))
+    if name in offered:
+        return name
+    raise ValueError(f"'{name}' is none; allowed: {', '.join((*METHOD_NAMES, *offered))}, or file.py:function")
+
+
+MethodName = Annotated[str, AfterValidator(_check_method)]
 
 
 class GridSettings(Settings):
@@ -123,7 +153,7 @@ class ThresholdSettings(Settings):
 class ImagingSettings(Settings):
     """All settings of ``mvla image``."""
 
-    method: MethodName = "mvla-gr"
+    method: MethodName = Field("mvla-gr", description=f"{' | '.join(METHOD_NAMES)} | file.py:function")
     grid: GridSettings = GridSettings()
     pdp: PdpSettings = PdpSettings()
     noise: NoiseSettings = NoiseSettings()

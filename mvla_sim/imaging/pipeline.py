@@ -2,59 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.channel.components import Components
 from mvla_sim.channel.files import Channel
 from mvla_sim.channel.response import FrequencyResponse
-from mvla_sim.config.imaging import ImagingSettings, MethodName, NoiseSettings, ViewSettings
+from mvla_sim.config.imaging import ImagingSettings, NoiseSettings, ViewSettings
 from mvla_sim.constants import range_resolution
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.imaging.backprojection import backprojection_profiles
 from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.image import Image
-from mvla_sim.imaging.mvla import hard_profiles, kernel_scales, likelihood_profiles
+from mvla_sim.imaging.methods.base import Method
+from mvla_sim.imaging.methods.registry import find_method
 from mvla_sim.imaging.noise import add_noise
-from mvla_sim.imaging.pdp import Pdp, compute_pdp, gate_for
+from mvla_sim.imaging.observation import FrontEnd, Observation
+from mvla_sim.imaging.pdp import compute_pdp, gate_for
 from mvla_sim.imaging.peaks import Peaks, extract_peaks
-from mvla_sim.imaging.projection import RangeProfiles, check_grid, project
+from mvla_sim.imaging.projection import check_grid
 from mvla_sim.imaging.threshold import joint_threshold
 from mvla_sim.runtime.provenance import provenance
 from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 
-__all__ = ["FrontEnd", "front_end", "make_profiles", "reconstruct", "select_views"]
-
-
-@dataclass(frozen=True)
-class FrontEnd:
-    """What every method starts from, for all views of a file.
-
-    Attributes
-    ----------
-    pdp
-        Noisy profiles; None for channels that hold components alone.
-    peaks
-        The components found in them, or the channel's own.
-    resolution_m
-        ΔR, metres.
-    """
-
-    pdp: Pdp | None
-    peaks: Peaks
-    resolution_m: float
-
-    def select(self, indices: NDArray[np.intp]) -> FrontEnd:
-        """Return the given views, in the given order."""
-        pdp = None if self.pdp is None else self.pdp.select(indices)
-        return FrontEnd(pdp, self.peaks.select(indices), self.resolution_m)
+__all__ = ["check_peaks", "front_end", "reconstruct", "select_views"]
 
 
 def front_end(channel: Channel, settings: ImagingSettings, grid: VoxelGrid) -> FrontEnd:
-    """Compute PDPs, add noise and, unless the method is BP, extract peaks, for all views of the file.
+    """Compute PDPs, add noise and, for methods that look at them, extract peaks, for all views of the file.
 
     Components are taken as they are. Frequency responses are measured and get no noise but their own, unless the
     settings ask for it by name.
@@ -62,18 +37,22 @@ def front_end(channel: Channel, settings: ImagingSettings, grid: VoxelGrid) -> F
     Raises
     ------
     ConfigError
-        BP of components, which are no profiles, or a gate that does not fit the data.
+        A method that needs profiles of components, which are none, or a gate that does not fit the data.
     DataError
         No path inside the gate, or no peak in any view.
     """
+    method = find_method(settings.method)
     if isinstance(channel, Components):
-        if settings.method == "bp":
-            raise ConfigError("method = 'bp': this file holds ready-made components; bp needs profiles, use mvla-gr")
+        if method.uses_pdp:
+            raise ConfigError(
+                f"method = '{settings.method}': this file holds ready-made components; {settings.method} needs "
+                "profiles, use mvla-gr"
+            )
         peaks = Peaks(channel.range_m, channel.power, channel.row_size)
         return FrontEnd(None, peaks, range_resolution(channel.bandwidth_hz))
     gate = gate_for(grid, channel.views, settings.pdp)
     pdp = add_noise(compute_pdp(channel, settings.pdp, gate), _noise(channel, settings.noise))
-    peaks = Peaks.none(channel.n_view) if settings.method == "bp" else extract_peaks(pdp, settings.peaks)
+    peaks = extract_peaks(pdp, settings.peaks) if method.uses_peaks else Peaks.none(channel.n_view)
     return FrontEnd(pdp, peaks, pdp.resolution_m)
 
 
@@ -116,18 +95,18 @@ def select_views(views: Views, settings: ViewSettings) -> NDArray[np.intp]:
     return np.arange(settings.offset, len(views), stride)
 
 
-def make_profiles(
-    method: MethodName, front: FrontEnd, settings: ImagingSettings, extent_m: float, span_m: tuple[float, float]
-) -> RangeProfiles:
-    """Turn observations into the range profiles of a method; ``span_m`` are the ranges at which the grid is seen."""
-    if method == "bp":
-        assert front.pdp is not None
-        return backprojection_profiles(front.pdp)
-    if method == "mvla-hard":
-        tolerance = settings.mvla.tolerance_m
-        return hard_profiles(front.peaks, front.resolution_m if tolerance is None else tolerance, span_m)
-    sigma, radius = kernel_scales(settings.mvla, front.resolution_m, extent_m)
-    return likelihood_profiles(front.peaks, sigma, radius, span_m)
+def check_peaks(method: Method, front: FrontEnd) -> None:
+    """Refuse to make an image of peaks where no chosen view has one.
+
+    Raises
+    ------
+    DataError
+        The number of views, and what helps.
+    """
+    if method.uses_peaks and not method.uses_pdp and front.peaks.range_m.size == 0:
+        raise DataError(
+            f"no peak in any of the {front.peaks.n_view} chosen views; lower peaks.threshold_sigma or raise the SNR"
+        )
 
 
 def reconstruct(channel: Channel, settings: ImagingSettings | None = None) -> Image:
@@ -155,27 +134,30 @@ def reconstruct(channel: Channel, settings: ImagingSettings | None = None) -> Im
     check_grid(grid)
     chosen = select_views(channel.views, settings.views)
     front = front_end(channel, settings, grid).select(chosen)
-    views = channel.views.select(chosen)
-    if settings.method != "bp" and front.peaks.range_m.size == 0:
-        raise DataError(
-            f"no peak in any of the {len(views)} chosen views; lower peaks.threshold_sigma or raise the SNR"
-        )
-    span = grid.range_span_m(channel.views.positions_m, channel.views.receivers_m)
-    profiles = make_profiles(settings.method, front, settings, channel.extent_m, span)
-    result = project(grid, views, profiles, beam=build_beam(channel.antenna, settings.beam))
-    score = result.total if settings.method == "bp" else result.total / np.float32(len(views))
+    method = find_method(settings.method)
+    check_peaks(method, front)
+    seen = Observation(
+        front=front,
+        views=channel.views.select(chosen),
+        grid=grid,
+        settings=settings,
+        extent_m=channel.extent_m,
+        span_m=grid.range_span_m(channel.views.positions_m, channel.views.receivers_m),
+        beam=build_beam(channel.antenna, settings.beam),
+    )
+    result = method.image(seen)
     occupied = None
     if settings.threshold is not None:
         occupied = joint_threshold(
-            score, result.support_deg, settings.threshold.top_percent, settings.threshold.min_support_deg
+            result.score, result.support_deg, settings.threshold.top_percent, settings.threshold.min_support_deg
         )
     used = settings.model_copy(update={"noise": _noise(channel, settings.noise)})
     return Image(
-        score=score,
+        score=result.score,
         support_deg=result.support_deg,
         grid=grid,
         method=settings.method,
-        n_view=len(views),
+        n_view=seen.n_view,
         occupied=occupied,
         outline=channel.outline,
         config={"simulation": dict(channel.config), "imaging": used.model_dump(mode="json")},

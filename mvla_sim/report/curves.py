@@ -14,7 +14,7 @@ from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError
-from mvla_sim.report.drawing import METHOD_TITLES
+from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.report.style import COLORS, MAPS, SINGLE_COLUMN_IN, figure_style, new_figure
 
 __all__ = ["plot_curves"]
@@ -161,7 +161,7 @@ def _group_label(value: Any, pattern: str) -> str:
         return "none"
     if isinstance(value, float):
         value = f"{value:g}".replace("-", "\N{MINUS SIGN}")
-    return pattern.format(METHOD_TITLES.get(value, value))
+    return pattern.format(title_of(value))
 
 
 def _gaps(values: pd.Series[Any]) -> NDArray[np.float64]:

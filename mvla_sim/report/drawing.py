@@ -24,7 +24,6 @@ from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 
 __all__ = [
-    "METHOD_TITLES",
     "Bits",
     "angle_axis",
     "angle_cells",
@@ -46,7 +45,6 @@ Bits = NDArray[np.bool_]
 Handles = list[Patch | Line2D]
 Edges = tuple[float, float, float, float]
 
-METHOD_TITLES = {"mvla-gr": "MVLA-GR", "mvla-hard": "MVLA hard vote", "bp": "Backprojection"}
 HIT, FALSE, MISS = COLORS["blue"], COLORS["vermilion"], "#B0B0B0"
 SCORE_PERCENTILE = 99.8  # brighter voxels are cut off: a few crossings of arcs would leave the rest of a map dark
 WIDE_GAP = 3.0  # steps in angle above this many times the usual one stay blank

@@ -17,11 +17,11 @@ from matplotlib.ticker import MaxNLocator
 
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.report.curves import plot_curves
 from mvla_sim.report.drawing import (
-    METHOD_TITLES,
     Bits,
     angle_axis,
     angle_cells,
@@ -214,7 +214,7 @@ def plot_image(
             anchor = (middle.x0 + middle.width / 2, 0.3 / figure.get_figheight())
             figure.legend(handles=handles, loc="center", bbox_to_anchor=anchor, ncols=2)
             axes.set_title("Binary image")
-        name = title or f"{METHOD_TITLES.get(image.method, image.method)}, {view_count(image.n_view)}"
+        name = title or f"{title_of(image.method)}, {view_count(image.n_view)}"
         if image.grid.shape[0] > 1:
             name += f", layer at z = {image.grid.axes()[2][index]:.3g} m"
         figure.suptitle(name, y=1 - 0.06 / figure.get_figheight(), va="top")

@@ -1,20 +1,28 @@
-"""Where intermediate results are kept between runs."""
+"""Where intermediate results are kept between runs: a folder, and optionally a place that several machines share."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import shutil
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import platformdirs
 
-from mvla_sim.errors import OutputError
+from mvla_sim.errors import ConfigError, OutputError, reason
+from mvla_sim.files import atomic_output
 
-__all__ = ["VARIABLE", "cache_folder"]
+__all__ = [
+    "URL_VARIABLE", "VARIABLE", "cache_folder", "cache_url", "discard", "is_shared", "pull", "push", "shared_cache",
+]  # fmt: skip
 
 VARIABLE: Final[str] = "MVLA_CACHE_DIR"
 """The environment variable that names another cache folder."""
+URL_VARIABLE: Final[str] = "MVLA_CACHE_URL"
+"""The environment variable that names the shared cache: a URL that fsspec knows, as file:///nfs/mvla or s3://…"""
 
 
 def cache_folder() -> Path:
@@ -36,3 +44,118 @@ def cache_folder() -> Path:
             f"{folder}: cannot be used as the cache folder ({error.strerror}); set {VARIABLE} to a folder of yours"
         ) from error
     return folder
+
+
+@contextlib.contextmanager
+def shared_cache(url: str | None) -> Iterator[None]:
+    """Within the block the shared cache is at ``url``; where that is None, as the environment says.
+
+    Raises
+    ------
+    ConfigError
+        No such place can be used: unknown protocol, or its package is not installed.
+    """
+    before = os.environ.get(URL_VARIABLE)
+    try:
+        if url is not None:
+            os.environ[URL_VARIABLE] = url
+        _place()
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(URL_VARIABLE, None)
+        else:
+            os.environ[URL_VARIABLE] = before
+
+
+def cache_url() -> str | None:
+    """The shared cache, None where there is none."""
+    return os.environ.get(URL_VARIABLE) or None
+
+
+def pull(file: Path) -> None:
+    """Copy a file of the cache folder from the shared cache, if it is not here and there is one.
+
+    Raises
+    ------
+    OutputError
+        The shared cache cannot be read, or the file cannot be written here.
+    """
+    if file.exists() or (place := _place()) is None:
+        return
+    system, root = place
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        _explained("read"),
+        contextlib.suppress(FileNotFoundError),
+        system.open(_there(root, file), "rb") as source,
+        atomic_output(file) as temporary,
+        temporary.open("wb") as target,
+    ):
+        shutil.copyfileobj(source, target)
+
+
+def push(file: Path) -> None:
+    """Copy a file of the cache folder to the shared cache, unless it is there; it appears there when it is whole.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    if (place := _place()) is None:
+        return
+    system, root = place
+    target = _there(root, file)
+    with _explained("written"):
+        if system.exists(target):
+            return
+        system.makedirs(target.rpartition("/")[0], exist_ok=True)
+        with system.transaction, system.open(target, "wb") as copy, file.open("rb") as source:
+            shutil.copyfileobj(source, copy)
+
+
+def is_shared(file: Path) -> bool:
+    """Whether the shared cache has a file of the cache folder. Raises as :func:`pull`."""
+    if (place := _place()) is None:
+        return False
+    system, root = place
+    with _explained("read"):
+        return bool(system.exists(_there(root, file)))
+
+
+def discard(file: Path) -> None:
+    """Delete a damaged file of the cache folder, here and in the shared cache."""
+    file.unlink(missing_ok=True)
+    if (place := _place()) is not None:
+        system, root = place
+        with _explained("written"), contextlib.suppress(FileNotFoundError):
+            system.rm(_there(root, file))
+
+
+def _place() -> tuple[Any, str] | None:
+    """File system and root of the shared cache."""
+    url = cache_url()
+    if url is None:
+        return None
+    import fsspec  # noqa: PLC0415 - only where a shared cache is used
+
+    try:
+        system, root = fsspec.core.url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        raise ConfigError(f"cache URL {url}: cannot be used ({error})") from error
+    return system, root.rstrip("/")
+
+
+def _there(root: str, file: Path) -> str:
+    return f"{root}/{file.relative_to(cache_folder()).as_posix()}"
+
+
+@contextlib.contextmanager
+def _explained(what: str) -> Iterator[None]:
+    try:
+        yield
+    except OutputError:
+        raise
+    except Exception as error:  # each file system has errors of its own
+        raise OutputError(f"cache URL {cache_url()}: cannot be {what} ({reason(error)})") from error

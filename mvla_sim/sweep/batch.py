@@ -18,21 +18,23 @@ from numpy.typing import NDArray
 from mvla_sim.channel.cir import Cir
 from mvla_sim.config.antenna import AntennaSettings
 from mvla_sim.config.imaging import EvaluationSettings, GridSettings, ImagingSettings, PdpSettings
-from mvla_sim.errors import DataError
+from mvla_sim.errors import reason
 from mvla_sim.evaluation.evaluate import Evaluation, evaluate, ground_truth
 from mvla_sim.evaluation.ground_truth import TruthGeometry
 from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.methods.base import Method
+from mvla_sim.imaging.methods.registry import find_method
 from mvla_sim.imaging.noise import add_noise
+from mvla_sim.imaging.observation import FrontEnd, Observation
 from mvla_sim.imaging.pdp import Pdp, compute_pdp, gate_for
 from mvla_sim.imaging.peaks import Peaks, extract_peaks
-from mvla_sim.imaging.pipeline import FrontEnd, make_profiles, select_views
-from mvla_sim.imaging.projection import RangeProfiles, project
+from mvla_sim.imaging.pipeline import check_peaks, select_views
 from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 from mvla_sim.sweep.case import Case, Row
 
-__all__ = ["Batch", "Channel", "Outcome", "channel_key", "prepare", "reason", "results", "run_batch"]
+__all__ = ["Batch", "CaseRunner", "Channel", "Outcome", "channel_key", "prepare", "reason", "results", "run_batch"]
 
 Value = TypeVar("Value")
 ChannelKey = tuple[str, PdpSettings, tuple[float, float]]
@@ -113,29 +115,26 @@ def prepare(file: Path, settings: PdpSettings, gate_m: tuple[float, float], *, w
     return Channel(cir.views, pdp, cir.extent_m, cir.outline, cir.antenna)
 
 
-def run_batch(batch: Batch) -> list[Row]:
-    """Image and score every case of a batch; a case that fails becomes a row that says why."""
-    return [row for row, _ in results(batch)]
+def run_batch(batch: Batch, runner: CaseRunner | None = None) -> list[Row]:
+    """Image and score every case of a batch; a case that fails becomes a row that says why.
+
+    A ``runner`` that has run other cases of the channel spares what it still has of them.
+    """
+    return [row for row, _ in results(batch, runner)]
 
 
-def results(batch: Batch) -> Iterator[tuple[Row, Outcome | None]]:
+def results(batch: Batch, runner: CaseRunner | None = None) -> Iterator[tuple[Row, Outcome | None]]:
     """Run a batch and yield each case as it finishes; the outcome is None where the case failed."""
-    worker = _Worker(batch.channel)
+    runner = runner or CaseRunner(batch.channel)
     for case in batch.cases:
         began = time.perf_counter()
         try:
-            outcome = worker.run(case)
+            outcome = runner.run(case)
         except Exception as error:  # noqa: BLE001 - one bad case must not stop the others; its row says what happened
             yield Row(case.key, "failed", reason(error), time.perf_counter() - began), None
             continue
         metrics = {"views": outcome.image.n_view, **outcome.evaluation.as_dict()}
         yield Row(case.key, "done", "", time.perf_counter() - began, metrics), outcome
-
-
-def reason(error: BaseException) -> str:
-    """Type and message of an error in one line."""
-    name = type(error).__name__
-    return f"{name}: {' '.join(str(error).split())}" if str(error) else name
 
 
 @functools.lru_cache(maxsize=1)
@@ -158,7 +157,7 @@ class _Last:
         return value
 
 
-class _Worker:
+class CaseRunner:
     """Runs cases of one channel, from noise to scores."""
 
     def __init__(self, channel: Channel) -> None:
@@ -166,38 +165,42 @@ class _Worker:
         self.last = _Last()
 
     def run(self, case: Case) -> Outcome:
+        """Image and score a case; raises what is wrong with it."""
         channel, imaging = self.channel, case.imaging
         grid = VoxelGrid.from_settings(imaging.grid)
         chosen = select_views(channel.views, imaging.views)
-        profiles = self._profiles(imaging, grid, chosen)
-        beam = self.last.get("beam", imaging.beam, lambda: build_beam(channel.antenna, imaging.beam))
-        result = project(grid, channel.views.select(chosen), profiles, beam=beam)
-        score = result.total if imaging.method == "bp" else result.total / np.float32(chosen.size)
-        image = Image(score, result.support_deg, grid, imaging.method, chosen.size, outline=channel.outline)
+        method = find_method(imaging.method)
+        result = method.image(self._observation(method, imaging, grid, chosen))
+        image = Image(result.score, result.support_deg, grid, imaging.method, chosen.size, outline=channel.outline)
         geometry = self._geometry(image, imaging.grid, case.evaluation)
         optimise = case.evaluation.threshold is None
         return Outcome(case, image, evaluate(image, case.evaluation, geometry, with_optimum=optimise))
 
-    def _profiles(self, imaging: ImagingSettings, grid: VoxelGrid, chosen: NDArray[np.intp]) -> RangeProfiles:
-        """Profiles of the chosen views. Those with kernels are made for all views at once."""
+    def _observation(
+        self, method: Method, imaging: ImagingSettings, grid: VoxelGrid, chosen: NDArray[np.intp]
+    ) -> Observation:
+        """What the method sees of the chosen views. Profiles that views do not share are made for all of them."""
         channel = self.channel
         pdp = self.last.get("noise", imaging.noise, lambda: add_noise(channel.pdp, imaging.noise))
-        span = grid.range_span_m(channel.views.positions_m, channel.views.receivers_m)
-        if imaging.method == "bp":
-            front = FrontEnd(pdp.select(chosen), Peaks.none(chosen.size), pdp.resolution_m)
-            return make_profiles("bp", front, imaging, channel.extent_m, span)
-        peaks = self.last.get("peaks", (imaging.noise, imaging.peaks), lambda: extract_peaks(pdp, imaging.peaks))
-        if not peaks.row_size[chosen].any():
-            raise DataError(
-                f"no peak in any of the {chosen.size} chosen views; lower peaks.threshold_sigma or raise the SNR"
-            )
-        return self.last.get(
+        peaks = Peaks.none(len(channel.views))
+        if method.uses_peaks:
+            peaks = self.last.get("peaks", (imaging.noise, imaging.peaks), lambda: extract_peaks(pdp, imaging.peaks))
+        seen = Observation(
+            front=FrontEnd(pdp, peaks, pdp.resolution_m),
+            views=channel.views,
+            grid=grid,
+            settings=imaging,
+            extent_m=channel.extent_m,
+            span_m=grid.range_span_m(channel.views.positions_m, channel.views.receivers_m),
+            beam=self.last.get("beam", imaging.beam, lambda: build_beam(channel.antenna, imaging.beam)),
+        )
+        check_peaks(method, seen.front.select(chosen))
+        made = self.last.get(
             "profiles",
-            (imaging.method, imaging.mvla, imaging.noise, imaging.peaks, span),
-            lambda: make_profiles(
-                imaging.method, FrontEnd(pdp, peaks, pdp.resolution_m), imaging, channel.extent_m, span
-            ),
-        ).select(chosen)
+            (imaging.method, imaging.mvla, imaging.noise, imaging.peaks, seen.span_m),
+            lambda: method.profiles(seen),
+        )
+        return replace(seen, made=made).select(chosen)
 
     def _geometry(self, image: Image, grid: GridSettings, settings: EvaluationSettings) -> TruthGeometry:
         return self.last.get(

@@ -12,6 +12,7 @@ from typing import Any, Final, Literal
 from mvla_sim.config.experiment import AxisValue
 from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings
 from mvla_sim.config.scene import SceneSettings
+from mvla_sim.imaging.methods.registry import find_method
 
 __all__ = ["ROW_SCHEMA", "Case", "Row", "case_key", "flatten", "setting_columns"]
 
@@ -85,6 +86,8 @@ def case_key(channel: str, imaging: ImagingSettings, evaluation: EvaluationSetti
         "imaging": imaging.model_dump(mode="json"),
         "evaluation": evaluation.model_dump(mode="json"),
     }
+    if digest := find_method(imaging.method).digest:  # somebody's method: their code decides as well
+        data["method"] = digest
     return hashlib.sha256(json.dumps(data, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 

@@ -1,35 +1,45 @@
-"""Run an experiment: what is stored already is kept, what is missing is computed on all cores, case by case."""
+"""Run an experiment: what is stored already is kept, what is missing is computed on a cluster, some cases at a time."""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from mvla_sim.channel.simulate import SimulationInterruptedError, cache_file, simulate
 from mvla_sim.config.experiment import ExperimentSettings
-from mvla_sim.errors import ConfigError, MvlaError, OutputError, RuntimeUnfitError
+from mvla_sim.errors import MvlaError, OutputError, RuntimeUnfitError
 from mvla_sim.files import atomic_output
+from mvla_sim.runtime.cache import cache_url, discard, pull, push
+from mvla_sim.runtime.cluster import WORKER_DIED, Cluster, Finished, Shared, open_cluster
 from mvla_sim.runtime.interrupt import interruptible
-from mvla_sim.runtime.machine import core_count
 from mvla_sim.runtime.progress import Advance, progress
 from mvla_sim.runtime.provenance import provenance
-from mvla_sim.sweep.batch import Batch, Channel, Outcome, prepare, reason, results
+from mvla_sim.sweep.batch import Batch, Outcome, prepare, reason, results
 from mvla_sim.sweep.case import Case, Row
+from mvla_sim.sweep.jobs import (
+    Failed,
+    prepare_here,
+    prepare_sent,
+    prepare_shared,
+    run_cases,
+    trace_and_send,
+    trace_and_share,
+)
 from mvla_sim.sweep.plan import Plan, expand
-from mvla_sim.sweep.pool import BatchJob, Died, Event, Pool, PrepareJob
 from mvla_sim.sweep.schedule import Task, tasks_of
 from mvla_sim.sweep.store import Store, identity
 from mvla_sim.sweep.table import RECORD, build_table, write_table
 
 __all__ = ["RunInterruptedError", "RunResult", "images_of", "missing_cases", "run_experiment", "run_plan"]
 
-WAIT_S = 0.5
 MOST_DEATHS = 10
 """Workers lost in one run before it is given up: something is wrong with the machine, not with a case."""
 
@@ -77,7 +87,7 @@ def run_experiment(
     folder
         Where its store and tables are kept.
     workers
-        Number of processes, by default one a core. It changes no number.
+        Number of processes, by default one a core; 0 for none but this one. It changes no number.
 
     Returns
     -------
@@ -94,7 +104,9 @@ def run_experiment(
     return run_plan(expand(settings, Path(folder), limit=None), Path(folder), workers=workers).table
 
 
-def run_plan(plan: Plan, folder: Path, *, workers: int | None = None, fresh: bool = False) -> RunResult:
+def run_plan(
+    plan: Plan, folder: Path, *, workers: int | None = None, cluster: Cluster | None = None, fresh: bool = False
+) -> RunResult:
     """Run what is missing of a plan. Parameters and errors as :func:`run_experiment`.
 
     Parameters
@@ -105,19 +117,18 @@ def run_plan(plan: Plan, folder: Path, *, workers: int | None = None, fresh: boo
         Where store and tables are kept.
     workers
         Number of processes.
+    cluster
+        Runs the cases instead of so many workers; it stays open.
     fresh
         Discard what is stored.
     """
-    workers = core_count() if workers is None else workers
-    if workers < 1:
-        raise ConfigError(f"workers = {workers}; at least 1")
     with Store.open(folder, identity(plan), fresh=fresh) as store:
         missing = missing_cases(plan, store.rows())
         runner = _Runner(plan, store)
         try:
-            with interruptible():
+            with interruptible(), _given_or_own(cluster, workers) as chosen:
                 if missing:
-                    runner.run(missing, workers)
+                    runner.run(missing, chosen)
         except BaseException as error:
             finished = "finished"
             with contextlib.suppress(MvlaError):  # what ended the run may also be in the way of its table
@@ -133,6 +144,10 @@ def run_plan(plan: Plan, folder: Path, *, workers: int | None = None, fresh: boo
         store.flush()
         table, files = _write(plan, store, folder)
     return RunResult(table, tuple(files), (*store.notes, *runner.notes))
+
+
+def _given_or_own(cluster: Cluster | None, workers: int | None) -> contextlib.AbstractContextManager[Cluster]:
+    return open_cluster(workers) if cluster is None else contextlib.nullcontext(cluster)
 
 
 def missing_cases(plan: Plan, rows: dict[str, Row]) -> list[Case]:
@@ -154,6 +169,15 @@ def images_of(plan: Plan, cases: Sequence[Case]) -> Iterator[Outcome]:
     yield from (found[case.number] for case in cases if case.number in found)
 
 
+@dataclass(frozen=True)
+class _Piece:
+    """Cases that run together: those of one channel, by its number, as of its so many-th CIR."""
+
+    number: int
+    cases: tuple[Case, ...]
+    edition: int = 0
+
+
 class _Runner:
     """One run of the missing cases."""
 
@@ -162,30 +186,34 @@ class _Runner:
         self.store = store
         self.notes: list[str] = []
         self._tasks: list[Task] = []
-        self._retraced: set[int] = set()
-        self._deaths = 0
+        self._editions: dict[int, int] = {}
 
-    def run(self, cases: Sequence[Case], workers: int) -> None:
-        """Trace what is not cached, then compute all cases in worker processes."""
-        self._tasks = tasks_of(self.plan, cases, workers)
+    def run(self, cases: Sequence[Case], cluster: Cluster) -> None:
+        """Trace what is not cached, then compute all cases."""
+        cluster.start()
+        died_before = cluster.deaths
+        self._tasks = tasks_of(self.plan, cases, cluster.count)
         with progress(self.plan.experiment.name, len(cases), "cases") as advance:
-            ready = [number for number, task in enumerate(self._tasks) if self._traced(task, advance)]
+            if cluster.remote:
+                ready = self._traced_there(cluster, advance)
+            else:
+                ready = [number for number, task in enumerate(self._tasks) if self._traced(task, advance)]
             self.store.flush()
-            pieces = max((len(ready), sum(len(self._tasks[number].batches) for number in ready)))
-            if not ready:
-                return
-            count = min(workers, pieces)
-            with Pool(count, max(1, core_count() // count)) as pool:
-                for number in ready:
-                    pool.submit(self._prepare(number))
-                while pool.busy:
-                    for event in pool.step(WAIT_S):
-                        self._handle(pool, event, advance)
-                    self.store.flush_if_due()
+            pieces = [_Piece(number, batch) for number in ready for batch in self._tasks[number].batches]
+            while pieces:
+                again: list[_Piece] = []
+                for index, finished in cluster.run(
+                    run_cases, self._arguments(pieces, cluster), label="cases", idle=self.store.flush_if_due
+                ):
+                    again += self._take(pieces[index], finished, advance)
+                    self._check_deaths(cluster.deaths - died_before)
+                pieces = again
 
     def _traced(self, task: Task, advance: Advance) -> bool:
-        """Make sure a CIR is cached; its cases fail where it cannot be traced."""
-        if cache_file(task.scene).exists():
+        """Make sure that this machine has a CIR; its cases fail where it cannot be traced."""
+        file = cache_file(task.scene)
+        pull(file)
+        if file.exists():
             return True  # whether it is whole is found out when it is read
         try:
             simulate(task.scene)
@@ -196,48 +224,86 @@ class _Runner:
             return False
         return True
 
-    def _prepare(self, number: int) -> PrepareJob:
+    def _traced_there(self, cluster: Cluster, advance: Advance) -> list[int]:
+        """Have workers trace what is not there, one scene a task; return the tasks whose CIR is there then."""
+        shared = cache_url() is not None
+        scenes = {task.key[0]: task.scene for task in self._tasks}
+        missing = []
+        for channel, scene in scenes.items():
+            file = cache_file(scene)
+            if file.exists() and shared:
+                push(file)
+            elif not file.exists():
+                missing.append(channel)
+        broken: dict[str, str] = {}
+        trace = trace_and_share if shared else trace_and_send
+        with progress("tracing", len(missing), "scenes") as traced:
+            tasks = ((scenes[channel],) for channel in missing)
+            for index, finished in cluster.run(trace, tasks, label="trace"):
+                if finished.error:
+                    broken[missing[index]] = finished.error
+                elif not shared:
+                    _keep_file(cache_file(scenes[missing[index]]), finished.value)
+                traced(1)
+        for task in self._tasks:
+            if task.key[0] in broken:
+                self._fail(task.cases, broken[task.key[0]], advance)
+        return [number for number, task in enumerate(self._tasks) if task.key[0] not in broken]
+
+    def _arguments(self, pieces: Sequence[_Piece], cluster: Cluster) -> Iterator[tuple[Shared, tuple[Case, ...]]]:
+        """Channel and cases of each piece; neighbours of one channel share it."""
+        for number, group in itertools.groupby(pieces, key=lambda piece: piece.number):
+            shared = self._channel(number, cluster)
+            for piece in group:
+                yield shared, piece.cases
+
+    def _channel(self, number: int, cluster: Cluster) -> Shared:
+        """The profiles of a task's channel: from this machine's file, from its content, or from the shared cache."""
         task = self._tasks[number]
-        return PrepareJob(number, cache_file(task.scene), *task.key[1:], task.with_amplitude)
+        file = cache_file(task.scene)
+        settings = (*task.key[1:], task.with_amplitude)
+        if not cluster.remote:
+            return cluster.share(prepare_here, file, *settings)
+        if cache_url() is not None:
+            return cluster.share(prepare_shared, file.name, *settings)
+        return cluster.share(prepare_sent, file.read_bytes(), *settings)
 
-    def _handle(self, pool: Pool, event: Event, advance: Advance) -> None:
-        job, reply = event
-        if isinstance(reply, Row):
-            self._keep(reply, advance)
-        elif isinstance(reply, Died):
-            self._bury(pool, job, reply)
-        elif isinstance(job, PrepareJob):
-            task = self._tasks[job.number]
-            if isinstance(reply, Channel):
-                for batch in reversed(task.batches):
-                    pool.submit(BatchJob(Batch(reply, batch)), first=True)
-            elif reply.damaged and job.number not in self._retraced:
-                self._retraced.add(job.number)
-                self.notes.append(f"scene {task.scene.name}: the cached CIR was damaged and was traced again")
-                if self._traced_again(task, advance):
-                    pool.submit(job, first=True)
-            else:
-                self._fail(task.cases, reply.error, advance)
+    def _take(self, piece: _Piece, finished: Finished, advance: Advance) -> list[_Piece]:
+        """Keep what came of a piece, and return what of it must be run again."""
+        task = self._tasks[piece.number]
+        if finished.deaths:
+            which = f"case {piece.cases[0].number}" if len(piece.cases) == 1 else f"{len(piece.cases)} cases"
+            self.notes.append(f"a worker died {_times(finished.deaths)} while it ran {which} of {task.scene.name}")
+        value: Any = finished.value
+        if finished.error == WORKER_DIED and len(piece.cases) > 1:  # one of them may be the cause: each on its own
+            return [_Piece(piece.number, (case,), piece.edition) for case in piece.cases]
+        if finished.error:
+            self._fail(piece.cases, finished.error, advance)
+        elif not isinstance(value, Failed):
+            for row in value:
+                self._keep(row, advance)
+        elif value.damaged and (edition := self._retraced(piece, advance)) is not None:
+            return [_Piece(piece.number, piece.cases, edition)]
+        elif not value.damaged or piece.edition:
+            self._fail(piece.cases, value.error, advance)
+        return []
 
-    def _traced_again(self, task: Task, advance: Advance) -> bool:
-        cache_file(task.scene).unlink(missing_ok=True)
-        return self._traced(task, advance)
+    def _retraced(self, piece: _Piece, advance: Advance) -> int | None:
+        """Trace a damaged CIR anew, once; the edition to run the piece with, None where that cannot help."""
+        if piece.edition:
+            return None
+        if piece.number not in self._editions:
+            task = self._tasks[piece.number]
+            self.notes.append(f"scene {task.scene.name}: the cached CIR was damaged and was traced again")
+            discard(cache_file(task.scene))
+            self._editions[piece.number] = 1 if self._traced(task, advance) else 0
+        return self._editions[piece.number] or None
 
-    def _bury(self, pool: Pool, job: PrepareJob | BatchJob, death: Died) -> None:
-        """Leave the case that a worker died of for the next run; the others of its batch go on."""
-        self._deaths += 1
-        if isinstance(job, PrepareJob):
-            task = self._tasks[job.number]
-            lost = f"the {len(task.cases)} cases of {task.scene.name} that needed its profiles are"
-        else:
-            lost = f"case {job.batch.cases[death.done].number} is"
-            if rest := job.without(death.done + 1).batch.cases:
-                pool.submit(BatchJob(Batch(job.batch.channel, rest)), first=True)
-        self.notes.append(f"a worker process died ({death.how}); {lost} left for the next run")
-        if self._deaths >= MOST_DEATHS:
+    def _check_deaths(self, deaths: int) -> None:
+        if deaths >= MOST_DEATHS:
             raise RuntimeUnfitError(
-                f"{self._deaths} worker processes died, the last one {death.how}; what is finished is stored. "
-                f"Is there enough memory? Try --workers 1"
+                f"workers died {deaths} times in the middle of their cases; what is finished is stored. Is there "
+                f"enough memory? Try --workers 1"
             )
 
     def _keep(self, row: Row, advance: Advance) -> None:
@@ -247,6 +313,17 @@ class _Runner:
     def _fail(self, cases: Sequence[Case], error: str, advance: Advance) -> None:
         for case in cases:
             self._keep(Row(case.key, "failed", error), advance)
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def _keep_file(file: Path, content: bytes) -> None:
+    """Keep a CIR that a worker has traced."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_output(file) as temporary:
+        temporary.write_bytes(content)
 
 
 def _write(plan: Plan, store: Store, folder: Path) -> tuple[pd.DataFrame, list[Path]]:

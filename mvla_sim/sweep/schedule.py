@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from mvla_sim.imaging.methods.registry import find_method
 from mvla_sim.scene.world import Scene
 from mvla_sim.sweep.batch import ChannelKey, channel_key
 from mvla_sim.sweep.case import Case
@@ -24,10 +25,11 @@ CASE_S: Final = 0.025
 VOXEL_VIEW_S: Final = {True: 1.3e-8, False: 2e-9}
 """Projecting a view onto a voxel, with and without angular support, seconds."""
 
-LEAST_BATCH_S: Final = 3.0
-"""Batches are not cut smaller than this, for each has noise, peaks and profiles of its own to make."""
-BATCHES_PER_WORKER: Final = 4
-"""Cut so fine that no worker waits long for the last one."""
+BATCH_S: Final = 2.0
+"""Cases that run together take about so long: what a lost worker or a stopped run costs, and far above the milliseconds
+that handing them out takes."""
+BATCHES_PER_S: Final = 200
+"""No more of them a second, from all workers together: what a scheduler can hand out at its ease."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +67,11 @@ def case_seconds(case: Case, n_view: int) -> float:
     voxels = 1.0
     for size in settings.grid.size_m:
         voxels *= max(1.0, size / settings.grid.spacing_m)
-    return CASE_S * max(1.0, voxels / 40_000) + VOXEL_VIEW_S[settings.method != "bp"] * views * voxels
+    return CASE_S * max(1.0, voxels / 40_000) + VOXEL_VIEW_S[find_method(settings.method).uses_peaks] * views * voxels
 
 
 def tasks_of(plan: Plan, cases: Sequence[Case], workers: int) -> list[Task]:
-    """Group cases by channel, and cut the groups into batches that keep all workers busy.
+    """Group cases by channel, and cut the groups into batches for so many workers.
 
     Within a group cases are put in an order in which those with the same noise, peaks and profiles are neighbours.
     """
@@ -80,8 +82,7 @@ def tasks_of(plan: Plan, cases: Sequence[Case], workers: int) -> list[Task]:
         if place not in keys:
             keys[place] = channel_key(case, plan.scenes[case.channel].views)
         groups.setdefault(keys[place], []).append(case)
-    total = sum(case_seconds(case, len(plan.scenes[case.channel].views)) for case in cases)
-    target = max(LEAST_BATCH_S, total / (BATCHES_PER_WORKER * workers))
+    target = max(BATCH_S, workers / BATCHES_PER_S)
     return [
         Task(
             scene=plan.scenes[key[0]],

@@ -43,8 +43,8 @@ method = ["mvla-gr", "bp"]
 STAGES = {
     "noise": ("sweep.batch", "add_noise"),
     "peaks": ("sweep.batch", "extract_peaks"),
-    "profiles": ("sweep.batch", "make_profiles"),
-    "projection": ("sweep.batch", "project"),
+    "profiles": ("imaging.methods.mvla_gr", "likelihood_profiles"),
+    "projection": ("imaging.observation", "project"),
     "truth": ("sweep.batch", "ground_truth"),
     "search": ("evaluation.evaluate", "optimal_thresholds"),
     "threshold": ("evaluation.evaluate", "joint_threshold"),

@@ -11,6 +11,7 @@ from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.scene.views import Views
 
 RESOLUTION = 0.05
+PAPER_METHODS = ("mvla-gr", "mvla-hard", "bp")
 BANDWIDTH = 299_792_458 / (2 * RESOLUTION)  # Hz: ΔR is 5 cm to the digit
 
 

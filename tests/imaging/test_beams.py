@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import twin
-from cases import channel, make_peaks, per_view, random_peaks, ring, scatterers, views_at
+from cases import PAPER_METHODS, channel, make_peaks, per_view, random_peaks, ring, scatterers, views_at
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from mvla_sim.config.antenna import Horn, Omni, PatternFile
-from mvla_sim.config.imaging import METHOD_NAMES, BeamSettings, imaging_settings
+from mvla_sim.config.imaging import BeamSettings, imaging_settings
 from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.backprojection import backprojection_profiles
 from mvla_sim.imaging.beam import build_beam
@@ -306,7 +306,7 @@ def test_no_edge_and_no_pattern_are_no_beam():
     assert build_beam(GAUSSIAN, BeamSettings()).edge_db == -3
 
 
-@pytest.mark.parametrize("method", METHOD_NAMES)
+@pytest.mark.parametrize("method", PAPER_METHODS)
 def test_switched_off_edge_images_as_omnidirectional_antennas_do(method):
     cir = scatterers([[1.0, 0.5, 0.0], [-0.8, -0.4, 0.0]], ring(24))
     narrow = replace(cir, antenna=Horn(kind="horn", azimuth_beamwidth_deg=5.0))
@@ -425,7 +425,7 @@ def test_range_span_of_pairs_holds_every_voxel(seed, volume):
     assert near <= np.min(alone)
 
 
-@pytest.mark.parametrize("method", METHOD_NAMES)
+@pytest.mark.parametrize("method", PAPER_METHODS)
 def test_points_stand_out_at_their_places_for_pairs_far_apart(method):
     """Transmitter and receiver 4 m from each other, side by side, with horns that look at the centre."""
     points = np.array([[1.0, 0.5, 0.0], [-0.8, -0.4, 0.0], [0.3, -1.2, 0.0]])

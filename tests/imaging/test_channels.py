@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import BANDWIDTH, RESOLUTION, response, ring, scatterers
+from cases import BANDWIDTH, PAPER_METHODS, RESOLUTION, response, ring, scatterers
 
 from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.components import Components
@@ -14,7 +14,7 @@ from mvla_sim.channel.files import load_channel
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.config.antenna import Horn
 from mvla_sim.config.base import parse
-from mvla_sim.config.imaging import METHOD_NAMES, ImagingSettings, imaging_settings
+from mvla_sim.config.imaging import ImagingSettings, imaging_settings
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.imaging.pdp import compute_pdp, gate_for
 from mvla_sim.imaging.pipeline import front_end, reconstruct
@@ -54,7 +54,7 @@ def power(channel, settings):
 # Frequency responses.
 
 
-@pytest.mark.parametrize("method", METHOD_NAMES)
+@pytest.mark.parametrize("method", PAPER_METHODS)
 def test_sweep_of_points_shows_them_at_their_places(method):
     image = reconstruct(swept(scatterers(POINTS, ring(72))), options(method=method))
     points, flat = image.grid.centers(), image.score.ravel().astype(float)

@@ -13,7 +13,7 @@ import pytest
 from sweep_files import AXES, experiment, numbers
 
 from mvla_sim.channel.simulate import cache_file, simulate
-from mvla_sim.errors import OutputError, RuntimeUnfitError
+from mvla_sim.errors import OutputError
 from mvla_sim.evaluation.evaluate import evaluate
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.sweep import run as module
@@ -79,8 +79,7 @@ def test_the_number_of_workers_changes_no_number(finished, tmp_path, monkeypatch
     """Neither does how the cases are cut into batches."""
     plan, _, table = finished
     if fine:
-        monkeypatch.setattr("mvla_sim.sweep.schedule.LEAST_BATCH_S", 0.0)
-        monkeypatch.setattr("mvla_sim.sweep.schedule.BATCHES_PER_WORKER", 3)
+        monkeypatch.setattr("mvla_sim.sweep.schedule.BATCH_S", 0.05)
     other = run_plan(plan, tmp_path / "out", workers=2)
     pd.testing.assert_frame_equal(numbers(other.table), numbers(table), check_exact=True)
     assert other.notes == ()
@@ -113,7 +112,7 @@ def test_a_run_does_only_what_is_missing(finished, tmp_path):
 
 def test_a_finished_run_starts_no_worker(finished, monkeypatch):
     plan, folder, table = finished
-    monkeypatch.setattr(module, "Pool", None)
+    monkeypatch.setattr(module, "run_cases", None)
     monkeypatch.setattr(module, "simulate", None)
     pd.testing.assert_frame_equal(run_plan(plan, folder).table, table)
 
@@ -230,25 +229,14 @@ def test_ctrl_c_keeps_what_is_finished_and_writes_the_table(tmp_path, monkeypatc
     assert list(table["cd_db"]) == pytest.approx([expected[key].metrics["cd_db"] for key in table["key"]], abs=0.05)
 
 
-def test_a_worker_that_dies_takes_one_case_with_it(tmp_path, monkeypatch):
+def test_a_worker_that_dies_costs_time_alone(tmp_path, monkeypatch):
     plan = expand(experiment(tmp_path, MANY))
+    monkeypatch.setattr("mvla_sim.sweep.schedule.BATCH_S", 0.0)
     with monkeypatch.context() as patch:
         keep_then(patch, 3, kill_a_worker)
         result = run_plan(plan, tmp_path / "out", workers=1)
-    assert result.count("missing") <= 1  # none where it had just finished its batch
-    assert result.count("done") >= 23
-    assert len(result.notes) == result.count("missing")
-    assert all("killed by signal 9" in note for note in result.notes)
-    assert run_plan(plan, tmp_path / "out", workers=1).count("done") == 24
-
-
-def test_workers_that_keep_dying_end_the_run(tmp_path, monkeypatch):
-    plan = expand(experiment(tmp_path, MANY))
-    monkeypatch.setattr(module, "MOST_DEATHS", 1)
-    keep_then(monkeypatch, 1, kill_a_worker)
-    with pytest.raises(RuntimeUnfitError, match="worker processes died"):
-        run_plan(plan, tmp_path / "out", workers=1)
-    assert (load_table(tmp_path / "out")["status"] == "done").sum() >= 1
+    assert result.count("done") == 24
+    assert all("a worker died once while it ran case" in note for note in result.notes)  # none where it was idle
 
 
 def test_a_full_disk_ends_the_run_and_keeps_what_was_stored(tmp_path, monkeypatch):

@@ -1,0 +1,183 @@
+"""The protocol that methods are compared under, sample by sample.
+
+Every sample is imaged from all its views at 20 dB, with noise of the sample's number as seed, on the dataset's grid. A
+method has one pair of thresholds, p and T_θ, for all samples: the one with the least mean Chamfer distance, in dB, over
+the validation split. The test split is scored at that pair; no threshold ever sees its truth.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mvla_sim.config.campaign import CampaignSettings
+from mvla_sim.config.imaging import ImagingSettings, ThresholdSettings, imaging_settings
+from mvla_sim.dataset.access import Sample
+from mvla_sim.errors import ConfigError, MvlaError, reason
+from mvla_sim.evaluation.ground_truth import TruthGeometry
+from mvla_sim.evaluation.metrics import Scores, decibel, score
+from mvla_sim.evaluation.tuning import chamfer_for_prefixes
+from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.pipeline import reconstruct
+from mvla_sim.imaging.threshold import joint_threshold, top_count
+from mvla_sim.scene.grid import VoxelGrid
+
+__all__ = [
+    "DISTANCES_M", "PROTOCOL", "SNR_DB", "SUPPORTS_DEG", "TOP_PERCENTS", "Attempt", "best_db", "best_thresholds",
+    "chamfer_table", "failed_metrics", "protocol_settings", "score_sample", "worst_db",
+]  # fmt: skip
+
+PROTOCOL: Final = 1
+"""Version of the protocol; results of different versions are not compared."""
+SNR_DB: Final = 20.0
+TOP_PERCENTS: Final = tuple(float(p) for p in np.round(np.geomspace(0.005, 100, 200), 6))
+"""Candidates for p, per cent of all voxels: steps of 5 %."""
+SUPPORTS_DEG: Final = (*(5.0 * k for k in range(36)), *(180.0 + 20.0 * k for k in range(10)))
+"""Candidates for T_θ, degrees; 0 alone for methods without angular support."""
+DISTANCES_M: Final = (0.05, 0.10)
+FIXED: Final = ("method", "grid", "noise", "views", "threshold")
+"""Blocks of settings that are the protocol's."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What a method made of a sample.
+
+    Attributes
+    ----------
+    sample
+        The sample's number.
+    error
+        Why there is no image, in one line; empty where there is one.
+    seconds
+        Time from the CIR to the image.
+    table
+        Validation: CD of every pair of candidates, ``[n_support, n_percent]`` dB(m²).
+    metrics
+        Test: scores at the thresholds, by name.
+    """
+
+    sample: int
+    error: str = ""
+    seconds: float = 0.0
+    table: NDArray[np.float32] | None = None
+    metrics: Mapping[str, float] = field(default_factory=dict)
+
+
+def protocol_settings(campaign: CampaignSettings, method: str, overrides: Sequence[str] = ()) -> ImagingSettings:
+    """Settings of imaging under the protocol; ``overrides`` are dotted keys of what is the method's own.
+
+    Raises
+    ------
+    ConfigError
+        No such method or setting, or one that the protocol fixes.
+    """
+    for text in overrides:
+        block = text.partition("=")[0].strip().split(".")[0]
+        if block in FIXED:
+            raise ConfigError(f"--set {text}: the protocol fixes {block}; allowed: the method's own settings")
+    return imaging_settings(
+        overrides, method=method, grid=campaign.grid.model_dump(mode="json"), noise={"snr_db": SNR_DB}
+    )
+
+
+def worst_db(grid: VoxelGrid) -> float:
+    """CD that stands for an empty reconstruction or a failure: every distance is the grid's diagonal, dB(m²)."""
+    sides = grid.spacing_m * np.asarray(grid.counts, float)
+    return float(decibel(2 * float(sides @ sides)))
+
+
+def best_db(grid: VoxelGrid) -> float:
+    """CD that stands for a perfect reconstruction, whose own is −∞: (a tenth of the spacing)², dB(m²)."""
+    return float(decibel((0.1 * grid.spacing_m) ** 2))
+
+
+def score_sample(
+    sample: Sample, settings: Sequence[ImagingSettings], thresholds: Sequence[ThresholdSettings | None]
+) -> list[Attempt]:
+    """Apply methods to a sample.
+
+    Parameters
+    ----------
+    sample
+        The sample.
+    settings
+        Settings of each method.
+    thresholds
+        Thresholds of each method, at which it is scored; None: try every pair of candidates.
+    """
+    geometry = TruthGeometry.build(sample.contour, sample.grid)
+    return [_attempt(sample, one, pair, geometry) for one, pair in zip(settings, thresholds, strict=True)]
+
+
+def _attempt(
+    sample: Sample, settings: ImagingSettings, thresholds: ThresholdSettings | None, geometry: TruthGeometry
+) -> Attempt:
+    number = int(sample.metadata["sample"])
+    noise = settings.noise.model_copy(update={"seed": number})
+    began = time.perf_counter()
+    try:
+        image = reconstruct(sample.cir, settings.model_copy(update={"noise": noise}))
+    except MvlaError as error:
+        return Attempt(number, reason(error), time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    if thresholds is None:
+        return Attempt(number, seconds=seconds, table=chamfer_table(image, geometry))
+    support = thresholds.min_support_deg if image.support_deg is not None else 0.0
+    occupied = joint_threshold(image.score, image.support_deg, thresholds.top_percent, support)
+    metrics = _metrics(score(sample.contour, occupied, sample.grid, DISTANCES_M), sample.grid)
+    return Attempt(number, seconds=seconds, metrics=metrics)
+
+
+def chamfer_table(image: Image, geometry: TruthGeometry) -> NDArray[np.float32]:
+    """CD at every pair of candidates, ``[n_support, n_percent]`` dB(m²); one row without angular support."""
+    counts = np.array([top_count(percent, image.grid.size) for percent in TOP_PERCENTS])
+    supports = SUPPORTS_DEG if image.support_deg is not None else (0.0,)
+    best, worst = best_db(image.grid), worst_db(image.grid)
+    largest = 0.0 if image.support_deg is None else float(image.support_deg.max())
+    table = np.full((len(supports), counts.size), worst, np.float32)  # also where nothing is retained
+    for row, support in enumerate(supports):
+        if support <= largest:
+            curve = chamfer_for_prefixes(image.score, image.support_deg, geometry, support)[counts - 1]
+            table[row] = np.clip(np.nan_to_num(curve, nan=worst, neginf=best), best, worst)
+    return table
+
+
+def best_thresholds(attempts: Sequence[Attempt], grid: VoxelGrid) -> tuple[ThresholdSettings, float]:
+    """The pair with the least mean CD over validation samples, and that mean, dB(m²).
+
+    Where several are equal, the smallest T_θ, then the smallest p. A sample without an image counts as worst.
+
+    Raises
+    ------
+    ConfigError
+        No sample has an image.
+    """
+    tables = [attempt.table for attempt in attempts if attempt.table is not None]
+    if not tables:
+        first = next((attempt.error for attempt in attempts if attempt.error), "there are no validation samples")
+        raise ConfigError(f"no image of any validation sample: {first}")
+    shape = tables[0].shape
+    failures = [np.full(shape, worst_db(grid), np.float32)] * (len(attempts) - len(tables))
+    mean = np.mean(np.array([*tables, *failures], np.float64), axis=0)
+    row, column = np.unravel_index(int(np.argmin(mean)), shape)
+    pair = ThresholdSettings(top_percent=TOP_PERCENTS[column], min_support_deg=SUPPORTS_DEG[row])
+    return pair, float(mean[row, column])
+
+
+def failed_metrics(grid: VoxelGrid) -> dict[str, float]:
+    """Scores that stand for an image that is not there."""
+    return {"cd_db": worst_db(grid), **{f"f1_{100 * d:g}cm": 0.0 for d in DISTANCES_M}, "empty": 1.0}
+
+
+def _metrics(scores: Scores, grid: VoxelGrid) -> dict[str, float]:
+    """CD and F1 at each distance; those of an empty reconstruction are the worst."""
+    if scores.reason:
+        return failed_metrics(grid)
+    f1 = {f"f1_{100 * d:g}cm": value for d, value in zip(scores.distances_m, scores.f1, strict=True)}
+    return {"cd_db": float(np.clip(scores.cd_db, best_db(grid), worst_db(grid))), **f1, "empty": 0.0}

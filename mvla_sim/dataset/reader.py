@@ -1,0 +1,241 @@
+"""Reading shards: one sample at a time, everything checked, nothing outside the file followed.
+
+A shard comes from somebody else. Its links and external storage could name other files, so a file that has any is
+refused; texts are plain, and nothing is ever unpickled.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from mvla_sim.channel.cir import Cir
+from mvla_sim.config.campaign import CampaignSettings
+from mvla_sim.dataset.shard import (
+    OCCUPANCY,
+    OPTIONAL,
+    SHARD_SCHEMA,
+    SHARD_VERSION,
+    TEXTS,
+    VARIABLES,
+    Failure,
+    Made,
+    data_digest,
+    numbers_of,
+)
+from mvla_sim.errors import DataError, MvlaError
+from mvla_sim.files import existing_file
+from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.scene.views import Views
+
+__all__ = ["ShardReader"]
+
+_BROKEN = (OSError, ValueError, KeyError, RuntimeError, AttributeError, TypeError, IndexError, shapely.GEOSException)
+
+
+class ShardReader:
+    """An open shard of a campaign; use it as a context manager, or :meth:`close` it.
+
+    Parameters
+    ----------
+    file
+        The shard's file.
+    campaign
+        The campaign it must belong to.
+    number
+        The number it must have.
+
+    Raises
+    ------
+    DataError
+        Missing, a link, truncated, of another schema, campaign or number, or at odds with itself.
+    """
+
+    def __init__(self, file: str | os.PathLike[str], campaign: CampaignSettings, number: int) -> None:
+        self.file = Path(file)
+        self.campaign = campaign
+        self.number = number
+        if self.file.is_symlink():
+            raise DataError(f"{self.file}: is a link; a dataset's files must lie in its own directory")
+        existing_file(self.file, "shard")
+        with self._explained():
+            self._handle = h5py.File(self.file, "r")
+        try:
+            with self._explained():
+                self._check_header()
+                self._load_tables()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._handle.close()
+
+    def __enter__(self) -> ShardReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def seconds(self) -> float:
+        """How long it took to make, seconds."""
+        with self._explained():
+            return float(self._number("seconds"))
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """What it was made with."""
+        with self._explained():
+            return dict(json.loads(self._handle.attrs["provenance"]))
+
+    def stored_digest(self) -> str:
+        """The checksum over the data that the file itself holds."""
+        return str(self._handle.attrs.get("data_sha256"))
+
+    def digest(self) -> str:
+        """The checksum over the data as they are; reads all of them."""
+        with self._explained():
+            names = [*VARIABLES, "x", "y", *(name for name in OPTIONAL if name in self._handle)]
+            return data_digest({name: self._texts(name) if name in TEXTS else self._handle[name][()] for name in names})
+
+    def row_of(self, number: int) -> int:
+        """Index of a sample in this file."""
+        row = int(np.searchsorted(self.samples, number))
+        if row == self.samples.size or self.samples[row] != number:
+            raise DataError(f"{self.file}: holds no sample {number}")
+        return row
+
+    def sample(self, row: int) -> Made:
+        """Read and check the sample at an index.
+
+        Raises
+        ------
+        DataError
+            It is damaged or inconsistent.
+        """
+        views = slice(int(self._view_start[row]), int(self._view_start[row + 1]))
+        paths = slice(int(self._path_start[views.start]), int(self._path_start[views.stop]))
+        with self._explained():
+            metadata = json.loads(self._handle["metadata"].asstr()[row])
+            occupancy = np.asarray(self._handle["occupancy"][row], np.uint8)
+            if not isinstance(metadata, dict) or metadata.get("sample") != int(self.samples[row]):
+                raise DataError(f"metadata of row {row} is not that of sample {self.samples[row]}")
+            if (occupancy & ~np.uint8(sum(OCCUPANCY.values()))).any():
+                raise DataError(f"occupancy holds values other than sums of {list(OCCUPANCY.values())}")
+            return Made(int(self.samples[row]), self._cir(row, views, paths, metadata), occupancy, metadata)
+
+    def metadata(self, row: int) -> dict[str, Any]:
+        """The metadata of the sample at an index, and its numbers of views and paths."""
+        views = slice(int(self._view_start[row]), int(self._view_start[row + 1]))
+        with self._explained():
+            return dict(json.loads(self._handle["metadata"].asstr()[row])) | {
+                "views": views.stop - views.start,
+                "paths": int(self._path_start[views.stop] - self._path_start[views.start]),
+                "extent_m": float(self._handle["target_extent"][row]),
+            }
+
+    def _cir(self, row: int, views: slice, paths: slice, metadata: dict[str, Any]) -> Cir:
+        read = self._handle
+        x, y = read["center"][row]
+        apart = {name: read[name][views] if name in read else None for name in OPTIONAL}
+        apart = {name: None if v is None or np.isnan(v).all() else v for name, v in apart.items()}
+        return Cir(
+            gain=(read["gain_real"][paths] + 1j * read["gain_imag"][paths]).astype(np.complex64),
+            delay_s=read["delay"][paths].astype(np.float64),
+            interaction=read["interaction"][paths].astype(np.uint8),
+            first_point_m=read["first_point"][paths].astype(np.float32),
+            row_size=self._row_size[views],
+            views=Views(
+                read["position"][views], read["angle"][views], (float(x), float(y)),
+                apart["receiver"], apart["boresight"],
+            ),
+            carrier_hz=float(read["carrier_frequency"][()]),
+            bandwidth_hz=float(read["bandwidth"][()]),
+            extent_m=float(read["target_extent"][row]),
+            outline=shapely.from_wkt(read["outline_wkt"].asstr()[row]),
+            antenna=self.campaign.radio.antenna,
+            config=metadata.get("settings", {}),
+            provenance=self.provenance,
+        )  # fmt: skip
+
+    def _check_header(self) -> None:
+        attributes = self._handle.attrs
+        if (found := str(attributes.get("schema"))) != SHARD_SCHEMA:
+            raise DataError(f"schema is '{found}', not '{SHARD_SCHEMA}'")
+        if (version := self._number("schema_version")) != SHARD_VERSION:
+            raise DataError(f"schema version {version}; this program reads version {SHARD_VERSION}")
+        if (shard := self._number("shard")) != self.number:
+            raise DataError(f"is shard {shard}, not {self.number}")
+        if str(attributes.get("campaign_sha256")) != self.campaign.digest():
+            raise DataError(f"belongs to another campaign than '{self.campaign.name}', or to other settings of it")
+        for name in self._handle:
+            if not isinstance(self._handle.get(name, getlink=True), h5py.HardLink):
+                raise DataError(f"'{name}' is a link to elsewhere; a shard holds its own data")
+            item = self._handle[name]
+            if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual:
+                raise DataError(f"'{name}' is stored elsewhere; a shard holds its own data")
+        for name in VARIABLES:
+            if name not in self._handle:
+                raise DataError(f"variable '{name}' is missing")
+
+    def _load_tables(self) -> None:
+        """Read what says where everything is, and check that it adds up."""
+        read = self._handle
+        if read["sample"].size > self.campaign.samples_per_shard:
+            raise DataError(f"holds {read['sample'].size} samples; at most {self.campaign.samples_per_shard}")
+        self.samples: NDArray[np.int64] = read["sample"][()].astype(np.int64)
+        view_count = read["view_count"][()].astype(np.int64)
+        self._row_size: NDArray[np.int64] = read["row_size"][()].astype(np.int64)
+        errors = self._texts("failed_error")
+        self.failed = tuple(
+            Failure(int(number), text) for number, text in zip(read["failed_sample"][()], errors, strict=True)
+        )
+        there = sorted([*self.samples.tolist(), *(failure.sample for failure in self.failed)])
+        if there != list(numbers_of(self.campaign, self.number)) or (np.diff(self.samples) <= 0).any():
+            raise DataError(f"holds samples {there[:3]}… in another order or number than shard {self.number} has")
+        nx, ny, _ = VoxelGrid.from_settings(self.campaign.grid).counts
+        count, views, paths = self.samples.size, self._row_size.size, read["delay"].size
+        shapes: dict[str, tuple[int, ...]] = {
+            "view_count": (count,), "center": (count, 2), "target_extent": (count,), "occupancy": (count, ny, nx),
+            "outline_wkt": (count,), "metadata": (count,), "position": (views, 3), "angle": (views,),
+            "receiver": (views, 3), "boresight": (views, 3), "gain_real": (paths,), "gain_imag": (paths,),
+            "delay": (paths,), "interaction": (paths,), "first_point": (paths, 3), "carrier_frequency": (),
+            "bandwidth": (),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            if name in read and read[name].shape != shape:
+                raise DataError(f"{name} has shape {read[name].shape}, must be {shape}")
+        for name, sizes, total in (("view_count", view_count, views), ("row_size", self._row_size, paths)):
+            if (sizes < 0).any() or int(sizes.sum()) != total:
+                raise DataError(f"{name} adds up to {sizes.sum()}, the file holds {total}")
+        self._view_start = np.concatenate([[0], np.cumsum(view_count)])
+        self._path_start = np.concatenate([[0], np.cumsum(self._row_size)])
+
+    def _number(self, name: str) -> Any:
+        """A number among the attributes; NetCDF knows them as arrays of one."""
+        return np.ravel(self._handle.attrs[name])[0]
+
+    def _texts(self, name: str) -> list[str]:
+        return [str(text) for text in self._handle[name].asstr()[()]]
+
+    @contextlib.contextmanager
+    def _explained(self) -> Iterator[None]:
+        """Within the block, whatever a damaged file raises becomes one line that names it."""
+        try:
+            yield
+        except MvlaError as error:
+            raise DataError(f"{self.file}: {error}") from error
+        except _BROKEN as error:
+            detail = " ".join(str(error).split())[:120]
+            raise DataError(f"{self.file}: not a readable shard, truncated or damaged ({detail})") from error

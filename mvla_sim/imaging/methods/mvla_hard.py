@@ -1,0 +1,23 @@
+"""The hard vote that MVLA-GR softens: a view votes for the voxels within ε_R of one of its peaks."""
+
+from __future__ import annotations
+
+from mvla_sim.imaging.methods.base import SumOverViews
+from mvla_sim.imaging.mvla import hard_profiles
+from mvla_sim.imaging.observation import Observation
+from mvla_sim.imaging.projection import RangeProfiles
+
+__all__ = ["METHOD"]
+
+
+class _HardVote(SumOverViews):
+    """``s_n = 1/M Σ_m 1{min_i |R_mi − |p_n − T_m|| ≤ ε_R}`` (``eq:event_hard``, ``eq:hard_posterior``)."""
+
+    title = "MVLA hard vote"
+
+    def own_profiles(self, seen: Observation) -> RangeProfiles:
+        tolerance = seen.settings.mvla.tolerance_m
+        return hard_profiles(seen.peaks, seen.resolution_m if tolerance is None else tolerance, seen.span_m)
+
+
+METHOD = _HardVote()

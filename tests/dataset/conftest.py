@@ -1,0 +1,21 @@
+"""Let the tests of this folder import the helpers beside them; trace by formula where a test asks for it."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).parent))
+
+
+@pytest.fixture
+def fake(monkeypatch):
+    """Trace by formula in this process, and ask Git nothing."""
+    helpers = importlib.import_module("campaigns")
+    for module in ("shard", "estimate"):
+        monkeypatch.setattr(f"mvla_sim.dataset.{module}.simulate", helpers.fake_simulate)
+    for module in ("shard", "index"):
+        monkeypatch.setattr(f"mvla_sim.dataset.{module}.provenance", lambda: {"program": "a formula"})

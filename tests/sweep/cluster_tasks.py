@@ -1,0 +1,63 @@
+"""What the tests have workers do, where these can import it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from mvla_sim.errors import DataError
+from mvla_sim.runtime.worker import thread_counts
+from mvla_sim.sweep.jobs import run_cases
+
+POISON = "MVLA_TEST_POISON"
+"""Key of a case that kills its worker."""
+
+
+def divide(number, by):
+    if by == 0:
+        raise DataError(f"{number} / 0\ncannot be")
+    return number / by
+
+
+def made(number):
+    """A shared value that knows who made it."""
+    return number, os.getpid()
+
+
+def takes(shared, number):
+    return shared, number
+
+
+def nothing():
+    raise DataError("nothing to share")
+
+
+def state():
+    return os.getpid(), thread_counts()
+
+
+def wait(seconds):
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def die(number, poison):
+    if number == poison:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def die_once(number, poison, mark):
+    """Kill the worker the first time."""
+    if number == poison and not Path(mark).exists():
+        Path(mark).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def run_cases_or_die(channel, cases):
+    if any(case.key == os.environ.get(POISON) for case in cases):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return run_cases(channel, cases)
