@@ -19,6 +19,10 @@ class Stream(IntEnum):
     SAMPLE = 5
     SPLIT = 6
     RECOMPUTE = 7
+    POSITION = 8
+    JITTER = 9
+    LOSS = 10
+    CLUTTER = 11
 
 
 def stream(seed: int, name: Stream, *key: int) -> np.random.Generator:

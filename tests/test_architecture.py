@@ -13,7 +13,7 @@ import pytest
 import mvla_sim
 
 ROOT = Path(mvla_sim.__file__).parent
-FLOW = ("scene", "channel", "imaging", "evaluation", "sweep", "dataset", "report", "cli")
+FLOW = ("scene", "channel", "imaging", "evaluation", "sweep", "dataset", "bench", "report", "cli")
 BASE = ("config", "constants", "errors", "files", "netcdf", "runtime", "streams")
 MODULES = sorted(ROOT.rglob("*.py"))
 NAMES = [str(path.relative_to(ROOT)) for path in MODULES]

@@ -123,6 +123,7 @@ def image(
     interval: Annotated[float | None, typer.Option(help="Use a view every so many degrees.")] = None,
     offset: Annotated[int | None, typer.Option(help="First view used.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the noise.")] = None,
+    threshold: Annotated[str | None, typer.Option(help="auto: also a binary image, without the truth.")] = None,
     overrides: Overrides = None,
 ) -> None:
     """Reconstruct an image from a CIR file, or from imported data."""
@@ -135,6 +136,7 @@ def image(
         "interval_deg": interval,
         "offset": offset,
         "seed": seed,
+        "threshold": threshold,
     }
     settings = imaging_settings(overrides or [], **{k: v for k, v in given.items() if v is not None})
     from mvla_sim.channel.files import load_channel
@@ -152,6 +154,7 @@ def evaluate(
     truth: Annotated[str | None, typer.Option(help="contour or filled.")] = None,
     top_percent: Annotated[float | None, typer.Option(help="p in per cent; by default the optimum.")] = None,
     min_support: Annotated[float | None, typer.Option(help="T_θ in degrees, with --top-percent.")] = None,
+    threshold: Annotated[str | None, typer.Option(help="auto: thresholds from the image, without the truth.")] = None,
     json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     overrides: Overrides = None,
 ) -> None:
@@ -161,7 +164,11 @@ def evaluate(
 
     if min_support is not None and top_percent is None:
         raise ConfigError(f"--min-support {min_support:g}: give --top-percent with it")
+    if threshold is not None and top_percent is not None:
+        raise ConfigError(f"--threshold {threshold} and --top-percent {top_percent:g}: give one of them")
     data: dict[str, Any] = {} if truth is None else {"truth": truth}
+    if threshold is not None:
+        data["threshold"] = threshold
     if top_percent is not None:
         data["threshold"] = {"top_percent": top_percent, "min_support_deg": min_support or 0.0}
     settings = parse(EvaluationSettings, apply_overrides(data, overrides or []), "evaluation settings")
@@ -317,6 +324,31 @@ def report(output: ResultsFolder = Path("results")) -> None:
     from mvla_sim.cli.report import write_report
 
     out.print(str(write_report(output)), markup=False)
+
+
+@app.command()
+def bench(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for bench.json, bench.csv and bench.md.")
+    ] = Path("results/bench"),
+    quick: Annotated[bool, typer.Option("--quick", help="Few and small points; a minute and a half.")] = False,
+    stage: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="tracing, projection, search or sweep; default all: the estimate needs them. May be repeated."
+        ),
+    ] = None,
+    scenes: Annotated[int, typer.Option(help="Of the estimate: scenes, each imaged once.")] = 1_000_000,
+    views: Annotated[int, typer.Option(help="Of the estimate: views of a scene.")] = 360,
+    nodes: Annotated[int, typer.Option(help="Of the estimate: nodes.")] = 64,
+    cores: Annotated[int, typer.Option(help="Of the estimate: cores a node.")] = 32,
+) -> None:
+    """Measure how cost grows with rays, views, facets, voxels, thresholds and workers; estimate a large campaign."""
+    from mvla_sim.bench.estimate import Campaign
+    from mvla_sim.cli.bench import bench as measure
+
+    campaign = Campaign(scenes=scenes, views=views, nodes=nodes, cores=cores)
+    measure(output, out, errors, quick=quick, stages=stage or (), campaign=campaign)
 
 
 @scene_app.command(name="show")

@@ -118,8 +118,8 @@ def _page(rows: Sequence[Row], costs: Costs | None, found: Estimate | None, *, q
         "# What things cost\n",
         f"{cpu_name()}, {core_count()} cores{', quick points' if quick else ''}. Every point was measured in a "
         "process of its own on one thread, a worker on one core. *First* is the first call, with compilation; *median* "
-        "the time of later ones on the clock, *of a core* the time a core worked in them; *memory* the peak beyond the "
-        "loaded libraries.\n",
+        "the time of later ones on the clock, *of a core* the time a core worked in them, which *rate* is of, "
+        "but for workers; *memory* the peak beyond the loaded libraries, *steady* that of later calls.\n",
     ]
     disturbed = sum(row.disturbed for row in rows)
     if disturbed:
@@ -136,7 +136,7 @@ def _page(rows: Sequence[Row], costs: Costs | None, found: Estimate | None, *, q
 def _disturbed(count: int, total: int) -> str:
     return (
         f"at {count} of {total} points a core worked less than {100 * ALONE:.0f} % of the time on the clock: other "
-        "programs were running, so rates are too low there; the laws use the time of a core"
+        "programs were running, which slows caches and memory as well; laws and rates use the time of a core"
     )
 
 

@@ -118,7 +118,10 @@ def export_dataset(folder: Path, form: str, output: Path, split: str | None, out
 def _show(campaign: CampaignSettings, folder: Path, workers: int, out: Console) -> None:
     found = estimate(campaign, folder, workers)
     out.print(f"samples:  {found.samples} of {len(campaign.families)} families", markup=False)
-    out.print(f"shards:   {found.shards}; {found.stored} stored, {found.shards - found.stored} to make", markup=False)
+    each = f"about {_size(found.bytes / found.shards)} each; "
+    out.print(
+        f"shards:   {found.shards}; {each}{found.stored} stored, {found.shards - found.stored} to make", markup=False
+    )
     out.print(f"size:     about {_size(found.bytes)} ({found.basis})", markup=False)
     where = f"with {workers} worker{'s' * (workers > 1)}" if workers else "in this process"
     out.print(f"time:     about {_time(found.seconds)} {where}", markup=False)

@@ -81,12 +81,11 @@ def dataset_score(
 ) -> None:
     """Score methods on the test split, with thresholds from the validation split, and show the leaderboard."""
     from mvla_sim.cli.score import score
-    from mvla_sim.config.imaging import METHOD_NAMES
     from mvla_sim.runtime.cluster import open_cluster
 
     with open_cluster(_workers(workers, scheduler), scheduler, note) as cluster:
         code = score(
-            folder, method or METHOD_NAMES, overrides or [], out, errors,
+            folder, method, overrides or [], out, errors,
             label=label, output=output, cluster=cluster, fresh=fresh,
         )  # fmt: skip
     raise typer.Exit(code)

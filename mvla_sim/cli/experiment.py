@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,9 @@ from rich.table import Table
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.cli.pictures import draw_waterfall, truth_of
 from mvla_sim.config.imaging import imaging_settings
+from mvla_sim.errors import DataError
 from mvla_sim.report.figures import plot_comparison, plot_curves, plot_image, plot_scene
+from mvla_sim.report.robustness import plot_robustness
 from mvla_sim.report.style import save_figure
 from mvla_sim.runtime.cluster import Cluster
 from mvla_sim.sweep.batch import Outcome
@@ -63,7 +66,11 @@ def execute(plan: Plan, folder: Path, out: Console, errors: Console, *, cluster:
     result = run_plan(plan, folder, cluster=cluster, fresh=fresh)
     for note in result.notes:
         errors.print(f"mvla: note: {note}", markup=False)
-    pictures = [*_draw_shown(plan, folder), *_draw_curve(plan, result.table, folder)]
+    pictures = [
+        *_draw_shown(plan, folder),
+        *_draw_curve(plan, result.table, folder),
+        *_draw_robustness(plan, result.table, folder),
+    ]
     _print(result.table, plan, out)
     for file in result.files:
         out.print(f"table:    {file}", markup=False)
@@ -117,6 +124,24 @@ def _draw_channel(plan: Plan, channel: str, folder: Path) -> list[Path]:
         save_figure(plot_scene(scene, *truth_of(scene, imaging.grid)), picture)
     pictures.append(folder / f"{scene.name}-waterfall.png")
     draw_waterfall(simulate(scene), pictures[-1], imaging_settings(snr_db=imaging.noise.snr_db))
+    return pictures
+
+
+def _draw_robustness(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
+    """Draw CD and F1 against each impairment, a figure a scene, where impairments are swept."""
+    swept = [*plan.experiment.axes, *(key for variant in plan.experiment.variants for key in variant.set)]
+    if not any(key.startswith("imaging.impairments.") for key in swept):
+        return []
+    centimetres = f"{100 * max(plan.experiment.evaluation.distances_m):g}"
+    pictures: list[Path] = []
+    for scene in plan.files:
+        with contextlib.suppress(DataError):  # no case of it is finished
+            figure = plot_robustness(
+                table, scene=scene, f1=f"f1_{centimetres}cm", f1_label=f"F1 at {centimetres} cm", title=scene
+            )
+            for suffix in (".png", ".pdf"):
+                pictures.append(folder / f"{scene}-robustness{suffix}")
+                save_figure(figure, pictures[-1])
     return pictures
 
 

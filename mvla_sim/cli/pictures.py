@@ -16,7 +16,7 @@ from mvla_sim.evaluation.ground_truth import rasterize
 from mvla_sim.files import existing_file
 from mvla_sim.imaging.image import SCHEMA as IMAGE_SCHEMA
 from mvla_sim.imaging.image import Image
-from mvla_sim.imaging.pipeline import front_end, select_views
+from mvla_sim.imaging.pipeline import chosen_views, front_end, impaired
 from mvla_sim.netcdf import schema_of
 from mvla_sim.report.figures import plot_comparison, plot_image, plot_scene, plot_waterfall
 from mvla_sim.report.style import save_figure
@@ -81,8 +81,10 @@ def draw_waterfall(channel: Channel, output: Path, settings: ImagingSettings) ->
     DataError
         The file holds components, which are no profiles.
     """
-    chosen = select_views(channel.views, settings.views)
-    front = front_end(channel, settings, VoxelGrid.from_settings(settings.grid)).select(chosen)
+    grid = VoxelGrid.from_settings(settings.grid)
+    chosen = chosen_views(channel.views, settings)
+    channel = impaired(channel, settings, grid)
+    front = front_end(channel, settings, grid).select(chosen)
     if front.pdp is None:
         raise DataError("this file holds ready-made components and no profiles; make an image of it and draw that")
     save_figure(plot_waterfall(front.pdp, channel.views.select(chosen), front.peaks), output)

@@ -20,7 +20,7 @@ __all__ = ["score"]
 
 def score(
     folder: Path,
-    methods: Sequence[str],
+    methods: Sequence[str] | None,
     overrides: Sequence[str],
     out: Console,
     errors: Console,

@@ -13,7 +13,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, fie
 
 from mvla_sim.config.antenna import PatternFile
 from mvla_sim.config.base import Settings, apply_overrides, parse, read_toml
-from mvla_sim.config.distributions import Listed, Material, Real, Whole, bounded, values_of
+from mvla_sim.config.distributions import Listed, Material, Real, Weight, Whole, bounded, values_of
 from mvla_sim.config.imaging import GridSettings
 from mvla_sim.config.scene import RadioSettings, RayTracingSettings
 from mvla_sim.config.trajectory import whole_turn
@@ -37,9 +37,9 @@ class FamilyBase(Settings):
     """
 
     name: Name
-    weight: PositiveFloat = Field(1.0, description="how often the family is drawn, relative to the others")
+    weight: Weight = Field(1.0, description="how often the family is drawn, relative to the others")
     objects: Annotated[Whole, bounded(least=1, most=100)] = Field(1, description="objects of a sample")
-    size_m: Annotated[Real, bounded(above=0)]
+    size_m: Annotated[Real, bounded(least=0.001)]
     x_m: Real = Field(0.0, description="of an object's centre, from the middle of the grid")
     y_m: Real = 0.0
     rotation_deg: Real = 0.0

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Discriminator, Field, PositiveFloat, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from mvla_sim.config.base import Settings
 from mvla_sim.config.scene import ItuMaterial
 
 __all__ = [
-    "Choice", "Listed", "Material", "MaterialChoice", "Real", "Uniform", "Whole", "WholeChoice", "WholeUniform",
-    "bounded", "values_of",
+    "Choice", "Listed", "Material", "MaterialChoice", "Real", "Uniform", "Weight", "Whole", "WholeChoice",
+    "WholeUniform", "bounded", "values_of",
 ]  # fmt: skip
 
-Weights = Annotated[tuple[PositiveFloat, ...] | None, Field(description="by default all choices are equally likely")]
+Weight = Annotated[float, Field(gt=0, le=1e12)]
+Weights = Annotated[tuple[Weight, ...] | None, Field(description="by default all choices are equally likely")]
 
 
 class _UniformBase(Settings):
@@ -25,6 +27,8 @@ class _UniformBase(Settings):
         low, high = self.min, self.max  # type: ignore[attr-defined]
         if not low < high:
             raise ValueError(f"min = {low:g} must be below max = {high:g}; for one value write the number alone")
+        if not math.isfinite(high - low):
+            raise ValueError(f"min = {low:g} and max = {high:g} are too far apart")
         return self
 
 

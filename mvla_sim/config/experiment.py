@@ -46,19 +46,29 @@ class CalibrationSettings(Settings):
 
     For each combination of the other experiment's axes that are not in ``over``, the thresholds are the means of its
     optimal p and T_θ: first over all its cases of one value of ``over``'s first name, then over these values, so that
-    each interval weighs the same however many offsets it has.
+    each interval weighs the same however many offsets it has. With ``scene`` in ``over`` they are means over scenes
+    too, and ``scenes`` says of which: held-out calibration, where it is of others than this experiment's.
     """
 
     source: Name = Field(alias="from", description="name of the other experiment's folder, beside this one's")
     over: Annotated[tuple[str, ...], Field(min_length=1)] = ("interval_deg", "offset", "seed")
+    scenes: Annotated[tuple[str, ...], Field(min_length=1)] | None = Field(
+        None, description="scenes of the other experiment whose thresholds count; by default all"
+    )
 
     @field_validator("over")
     @classmethod
     def _check_over(cls, over: tuple[str, ...]) -> tuple[str, ...]:
         for name in over:
-            if dotted_key(name) is None:
+            if name != "scene" and dotted_key(name) is None:
                 raise ValueError(f"'{name}' names no setting, so it is no axis")
         return over
+
+    @model_validator(mode="after")
+    def _check(self) -> CalibrationSettings:
+        if self.scenes is not None and "scene" not in self.over:
+            raise ValueError("scenes: needs 'scene' in over, for thresholds of other scenes are no scene's own")
+        return self
 
 
 class VariantSettings(Settings):

@@ -7,24 +7,41 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from mvla_sim.config.base import Settings, apply_overrides, assign, parse
+from mvla_sim.config.impairments import ImpairmentSettings
 
 __all__ = [
+    "LATER_BLOCKS",
     "METHOD_GROUP",
     "METHOD_NAMES",
     "SHORT_NAMES",
     "BeamSettings",
+    "CarvingSettings",
+    "EmSettings",
     "EvaluationSettings",
     "GridSettings",
     "ImagingSettings",
     "MethodName",
+    "MlemSettings",
     "MvlaSettings",
+    "NnlsSettings",
     "NoiseSettings",
     "PdpSettings",
     "PeakSettings",
+    "RpmSettings",
     "ThresholdSettings",
+    "Thresholds",
     "ViewSettings",
     "imaging_settings",
     "split_method",
@@ -34,8 +51,25 @@ METHOD_NAMES: Final = (
     "mvla-gr",
     "mvla-hard",
     "bp",
+    "hard-vote",
+    "soft-kernel",
+    "power-weights",
+    "bp-peaks",
+    "bp-normalised",
+    "bp-gated",
+    "bp-coherence",
+    "bp-filtered",
+    "carving",
+    "rpm",
+    "bp-coherent",
+    "mlem",
+    "nnls",
+    "mvla-em",
 )  # fmt: skip
 """Methods of this package; each is a module of :mod:`mvla_sim.imaging.methods`."""
+LATER_BLOCKS: Final = ("impairments", "carving", "rpm", "mlem", "nnls", "em")
+"""Blocks of imaging settings that came after sweeps were stored. At their defaults no dump has them, so keys, stores
+and files are what they were without them."""
 METHOD_GROUP: Final = "mvla_sim.methods"
 """Group of the entry points under which other packages offer methods."""
 
@@ -143,11 +177,54 @@ class BeamSettings(Settings):
     )
 
 
+class CarvingSettings(Settings):
+    """First-echo carving; see :mod:`mvla_sim.imaging.methods.carving`."""
+
+    kernel: Annotated[float, Field(gt=0, le=100, description="width σ of a first echo, in ΔR")] = 0.5
+    margin: Annotated[float, Field(ge=0, le=100, description="what a view carves ends so far before its first echo, "
+                                   "in ΔR")] = 0.5  # fmt: skip
+    share: Annotated[float, Field(ge=0, lt=1, description="a voxel is empty if more than this share of the views that "
+                                  "cover it carve it")] = 0.01  # fmt: skip
+
+
+class RpmSettings(Settings):
+    """Range Points Migration; see :mod:`mvla_sim.imaging.methods.rpm`."""
+
+    sigma_theta_deg: Annotated[float, Field(ge=0.01, le=30, description="σ_θ: how well directions must agree")] = 1.0
+    sigma_x_m: Annotated[float, Field(gt=0, le=1e4, description="σ_X: how far away neighbouring views count")] = 4.0
+    kernel: Annotated[float, Field(gt=0, le=100, description="width σ of a contour point on the grid, in ΔR")] = 1.0
+
+
+class MlemSettings(Settings):
+    """MLEM tomography of the profiles."""
+
+    iterations: Annotated[int, Field(ge=1, le=10_000, description="steps; more sharpen the image, and the noise")] = 40
+
+
+class NnlsSettings(Settings):
+    """Non-negative least squares of the profiles."""
+
+    iterations: Annotated[int, Field(ge=1, le=10_000, description="steps; more sharpen the image, and the noise")] = 20
+
+
+class EmSettings(Settings):
+    """MVLA-EM; see :mod:`mvla_sim.imaging.methods.mvla_em`."""
+
+    iterations: Annotated[int, Field(ge=1, le=10_000, description="steps; more sharpen the image, and the noise")] = 8
+    unexplained: Annotated[
+        float, Field(gt=0, le=100, description="share of a view that may be explained by nothing")
+    ] = 1.0
+
+
 class ThresholdSettings(Settings):
     """Joint threshold (``eq:joint_thresholding_new``): the top p per cent of all voxels, then Θ ≥ T_θ."""
 
     top_percent: Annotated[float, Field(gt=0, le=100)] = 1.0
     min_support_deg: Annotated[float, Field(ge=0, le=360)] = 0.0
+
+
+Thresholds = ThresholdSettings | Literal["auto"]
+"""Given thresholds, or those that are chosen from the image; see :mod:`mvla_sim.imaging.automatic`."""
 
 
 class ImagingSettings(Settings):
@@ -161,7 +238,21 @@ class ImagingSettings(Settings):
     mvla: MvlaSettings = MvlaSettings()
     views: ViewSettings = ViewSettings()
     beam: BeamSettings = BeamSettings()
-    threshold: ThresholdSettings | None = Field(None, description="also write the binary image at these thresholds")
+    impairments: ImpairmentSettings = ImpairmentSettings()
+    carving: CarvingSettings = CarvingSettings()
+    rpm: RpmSettings = RpmSettings()
+    mlem: MlemSettings = MlemSettings()
+    nnls: NnlsSettings = NnlsSettings()
+    em: EmSettings = EmSettings()
+    threshold: Thresholds | None = Field(None, description="also write the binary image at these; 'auto': its own")
+
+    @model_serializer(mode="wrap")
+    def _without_later_blocks(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out blocks of :data:`LATER_BLOCKS` that are at their defaults."""
+        data: dict[str, Any] = handler(self)
+        fields = type(self).model_fields
+        return {key: value for key, value in data.items()
+                if key not in LATER_BLOCKS or getattr(self, key) != fields[key].default}  # fmt: skip
 
 
 class EvaluationSettings(Settings):
@@ -169,7 +260,18 @@ class EvaluationSettings(Settings):
 
     truth: Literal["contour", "filled"] = "contour"
     distances_m: tuple[PositiveFloat, ...] = Field((0.05, 0.10), description="for precision, recall and F1")
-    threshold: ThresholdSettings | None = Field(None, description="by default the optimum over every p and T_θ")
+    average_precision: bool = Field(
+        False, description="also the area under precision and recall at the largest of these distances; no thresholds"
+    )
+    threshold: Thresholds | None = Field(
+        None, description="by default the optimum over every p and T_θ; 'auto': from the image, without the truth"
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_later_fields(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what came after sweeps were stored, at its default; see :data:`LATER_BLOCKS`."""
+        data: dict[str, Any] = handler(self)
+        return {key: value for key, value in data.items() if key != "average_precision" or value}
 
 
 SHORT_NAMES: dict[str, str] = {

@@ -25,7 +25,7 @@ class ImpairmentSettings(Settings):
 
     Position error, timing, phase and clutter act on the channel, in this order, before profiles are made of it; missing
     and blocked views are taken out of those that ``views.interval_deg`` and ``views.offset`` choose. Every impairment
-    has a random stream of its own, so a stronger one is the same realisation scaled, and none changes another.
+    has a random stream of its own, so none changes another, and a larger error is the same realisation scaled.
     """
 
     position_error_m: Annotated[float, Field(ge=0, le=10)] = Field(

@@ -133,6 +133,10 @@ class BenchmarkDataset:
         reader = self._reader(number // self.campaign.samples_per_shard)
         return reader.metadata(reader.row_of(number))
 
+    def provenance(self, k: int) -> dict[str, str]:
+        """Versions and machine that sample ``k`` was made with."""
+        return self._reader(self.numbers[k] // self.campaign.samples_per_shard).provenance
+
     def to_xarray(self) -> xr.DataTree:
         """Labelled arrays, a node a shard as in its file, and the split of each sample; nothing is loaded.
 
@@ -147,7 +151,8 @@ class BenchmarkDataset:
         nodes: dict[str, xr.Dataset] = {}
         for shard in shards:
             reader = self._reader(shard)  # checks the file
-            lazy = xr.open_dataset(self.index.file(shard), engine="h5netcdf", decode_cf=False)
+            with reader.explained():
+                lazy = xr.open_dataset(self.index.file(shard), engine="h5netcdf", decode_cf=False)
             splits = [split_of(self.campaign, int(number)) for number in reader.samples]
             nodes[Path(self.index.shards[shard].name).stem] = lazy.assign_coords(split=("sample", splits))
         return xr.DataTree.from_dict(nodes, name=self.campaign.name)

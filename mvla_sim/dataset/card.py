@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,6 @@ from mvla_sim.config.campaign import SPLITS
 from mvla_sim.dataset.access import BenchmarkDataset
 from mvla_sim.dataset.index import INDEX
 from mvla_sim.dataset.shard import SHARD_VERSION, shard_name
-from mvla_sim.runtime.machine import package_versions, program_version
 
 __all__ = ["CARD", "PICTURE", "card_text", "shown_samples"]
 
@@ -59,13 +60,16 @@ def _head(dataset: BenchmarkDataset, picture: str | None) -> str:
     nx, ny, _ = dataset.grid.counts
     size = sum(entry.bytes for entry in index.shards.values())
     shown = f"\n![Some of the scenes from above: targets and sensor positions]({picture})\n" if picture else ""
+    missing = campaign.samples - len(dataset) - len(index.failed)
+    part = f" {missing} of {campaign.samples} samples are not made yet." if missing else ""
     return f"""# {campaign.name}
 
 {campaign.description or "Synthetic channel impulse responses with the geometry they belong to."}
 
-{len(dataset)} samples in {len(index.shards)} shards, {size / 2**20:.1f} MiB. A sample is a scene: the paths of the
-channel from every position of a sensor (gain, absolute delay, interactions, first interaction point), the outline of
-the target, its occupancy on a grid of {nx} × {ny} voxels of {dataset.grid.spacing_m:g} m, and all settings.
+{len(dataset)} samples in {len(index.shards)} shards, {size / 2**20:.1f} MiB.{part}
+A sample is a scene: the paths of the channel from every position of a sensor (gain, absolute delay, interactions, first
+interaction point), the outline of the target, its occupancy on a grid of {nx} × {ny} voxels of
+{dataset.grid.spacing_m:g} m, and all settings.
 Carrier {campaign.radio.carrier_hz / 1e9:g} GHz, bandwidth {campaign.radio.bandwidth_hz / 1e9:g} GHz.
 
 Licence: {campaign.licence}.
@@ -73,32 +77,43 @@ Licence: {campaign.licence}.
 
 
 def _statistics(dataset: BenchmarkDataset) -> str:
-    facts = [dataset.metadata(k) for k in range(len(dataset))]
+    table: Counter[tuple[str, str]] = Counter()
+    materials: Counter[str] = Counter()
+    numbers: dict[str, list[float]] = {
+        name: [] for name in ("views", "paths", "objects", "largest extent D (m)", "scattering coefficient")
+    }
+    seen: dict[str, set[str]] = {}
+    for k in range(len(dataset)):  # one after the other: the settings of all scenes together may be large
+        fact = dataset.metadata(k)
+        items = fact["settings"]["objects"]
+        table[fact["family"], fact["split"]] += 1
+        materials.update(str(item["material"]) for item in items)
+        for name, value in (
+            ("views", fact["views"]), ("paths", fact["paths"]), ("objects", len(items)),
+            ("largest extent D (m)", fact["extent_m"]),
+        ):  # fmt: skip
+            numbers[name].append(value)
+        numbers["scattering coefficient"] += [item["scattering_coefficient"] for item in items]
+        scene = json.dumps([items, fact["settings"]["trajectory"]], sort_keys=True)
+        seen.setdefault(hashlib.sha256(scene.encode()).hexdigest(), set()).add(fact["split"])
     families = [family.name for family in dataset.campaign.families]
-    table = Counter((fact["family"], fact["split"]) for fact in facts)
     counts = np.array([[table[name, split] for split in SPLITS] for name in families])
     rows: list[list[Any]] = [
         [name, *of.tolist(), of.sum()]
         for name, of in zip([*families, "all"], [*counts, counts.sum(axis=0)], strict=True)
     ]
-    objects = [len(fact["settings"]["objects"]) for fact in facts]
-    surfaces: list[dict[str, Any]] = [item for fact in facts for item in fact["settings"]["objects"]]
-    materials = Counter(str(item["material"]) for item in surfaces)
-    numbers = [
-        ["views of a sample", *_range(fact["views"] for fact in facts)],
-        ["paths of a sample", *_range(fact["paths"] for fact in facts)],
-        ["objects of a sample", *_range(objects)],
-        ["largest extent D (m)", *_range(fact["extent_m"] for fact in facts)],
-        ["scattering coefficient", *_range(item["scattering_coefficient"] for item in surfaces)],
-    ]
+    ranges = [[name + " of a sample" * (name in ("views", "paths", "objects")), *_range(of)]
+              for name, of in numbers.items()]  # fmt: skip
+    twins = sum(len(splits) > 1 for splits in seen.values())
     lines = [
         "## Statistics",
         "",
-        "Splits are by scene, never by view.",
+        "Splits are by scene, never by view."
+        + f" But {_scenes(twins)} drawn several times, in several splits." * (twins > 0),
         "",
         *_table(["family", *SPLITS, "all"], rows),
         "",
-        *_table(["", "least", "median", "largest"], numbers),
+        *_table(["", "least", "median", "largest"], ranges),
         "",
         f"Materials of the objects: {', '.join(f'{name} {count}' for name, count in materials.most_common())}.",
         "",
@@ -115,17 +130,20 @@ def _statistics(dataset: BenchmarkDataset) -> str:
     return "\n".join(lines)
 
 
+def _scenes(count: int) -> str:
+    return f"{count} scene{'s were' if count > 1 else ' was'}"
+
+
 def _made(dataset: BenchmarkDataset) -> str:
     campaign = dataset.campaign
-    versions = ", ".join(
-        f"{name} {version or 'missing'}"
-        for name, version in package_versions(("sionna-rt", "mitsuba", "drjit")).items()
-    )
+    by_shard = {number // campaign.samples_per_shard: k for k, number in enumerate(dataset.numbers)}
+    made_with = {_versions(dataset.provenance(k)): None for k in by_shard.values()}
     tracing = campaign.ray_tracing
     kinds = [name for name in ("specular", "diffuse", "diffraction") if getattr(tracing, name)]
     return f"""## How it was made
 
-mvla-sim {program_version()} with {versions}: {", ".join(kinds)}, up to {tracing.max_depth} interaction(s),
+{"; ".join(made_with)}.
+Traced: {", ".join(kinds)}, up to {tracing.max_depth} interaction{"s" * (tracing.max_depth > 1)},
 {tracing.diffuse_rays} rays a view for diffuse paths and {tracing.specular_rays} for the others. Sample k is a
 function of the seed ({campaign.seed}) and k alone; `{INDEX}` holds the campaign's settings, from which every sample can
 be made again:
@@ -134,6 +152,12 @@ be made again:
 mvla dataset verify .            # checksums, schema, splits, truth; a random few samples are made again
 ```
 """
+
+
+def _versions(provenance: Mapping[str, str]) -> str:
+    """What a shard was made with."""
+    packages = ", ".join(f"{name} {provenance.get(name, 'unknown')}" for name in ("sionna-rt", "mitsuba", "drjit"))
+    return f"{provenance.get('program', 'unknown program')} with {packages}"
 
 
 def _layout(dataset: BenchmarkDataset) -> str:

@@ -28,6 +28,8 @@ _DIGITS: Final = {"specular": 1, "diffraction": 2, "diffuse": 3, "refraction": 4
 """DeepMIMO's codes of interactions."""
 LARGEST_MAT_BYTES: Final = 2**31 - 1
 """Of one variable in MATLAB's format 5."""
+BYTES_OF_PATH: Final = 12
+"""Of the largest variable along paths, the first point: three numbers in single precision."""
 
 
 def export_npz(dataset: BenchmarkDataset, folder: str | os.PathLike[str]) -> list[Path]:
@@ -106,20 +108,20 @@ def export_mat(dataset: BenchmarkDataset, file: str | os.PathLike[str]) -> Path:
     check_writable(target)
     if not len(dataset):
         raise DataError(f"{dataset.index.folder}: there is no sample to export")
+    paths = sum(dataset.metadata(k)["paths"] for k in range(len(dataset)))
+    largest = max(paths * BYTES_OF_PATH, len(dataset) * dataset.grid.size)  # first_point, occupancy
+    if largest > LARGEST_MAT_BYTES:  # found out before anything large is read
+        raise ConfigError(
+            f"{target}: an array takes {largest / 2**30:.1f} GiB; a MATLAB 5 file holds 2 GiB an array: export one "
+            "split, or read the shards with ncread"
+        )
     with progress(f"exporting {dataset.campaign.name}", len(dataset), "samples") as advance:
         samples = []
         for sample in dataset:
             samples.append(sample)
             advance(1)
-    content = _mat_variables(samples)
-    for name, values in content.items():
-        if isinstance(values, np.ndarray) and values.nbytes > LARGEST_MAT_BYTES:
-            raise ConfigError(
-                f"{target}: {name} takes {values.nbytes / 2**30:.1f} GiB; a MATLAB 5 file holds 2 GiB an array: export "
-                "one split, or read the shards with ncread"
-            )
     with atomic_output(target) as temporary:
-        savemat(temporary, content, do_compression=True, oned_as="column")
+        savemat(temporary, _mat_variables(samples), do_compression=True, oned_as="column")
     return target
 
 

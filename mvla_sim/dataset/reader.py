@@ -11,7 +11,7 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import h5py
 import numpy as np
@@ -19,7 +19,9 @@ import shapely
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import Cir
+from mvla_sim.config.base import parse
 from mvla_sim.config.campaign import CampaignSettings
+from mvla_sim.config.scene import SceneSettings
 from mvla_sim.dataset.shard import (
     OCCUPANCY,
     OPTIONAL,
@@ -33,13 +35,22 @@ from mvla_sim.dataset.shard import (
     numbers_of,
 )
 from mvla_sim.errors import DataError, MvlaError
+from mvla_sim.evaluation.ground_truth import check_inside
 from mvla_sim.files import existing_file
 from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 
 __all__ = ["ShardReader"]
 
-_BROKEN = (OSError, ValueError, KeyError, RuntimeError, AttributeError, TypeError, IndexError, shapely.GEOSException)
+_BROKEN = (
+    OSError, ValueError, KeyError, RuntimeError, AttributeError, TypeError, IndexError, OverflowError, MemoryError,
+    shapely.GEOSException,
+)  # fmt: skip
+_FILTERS: Final = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+MOST_PACKED: Final = 1100
+"""How many times larger than the file a variable can be: deflate saves a factor of 1032 at most."""
+LEAST_ROOM: Final = 1 << 16
+"""Bytes that any file may claim to hold."""
 
 
 class ShardReader:
@@ -67,10 +78,11 @@ class ShardReader:
         if self.file.is_symlink():
             raise DataError(f"{self.file}: is a link; a dataset's files must lie in its own directory")
         existing_file(self.file, "shard")
-        with self._explained():
+        with self.explained():
+            self._bytes = self.file.stat().st_size
             self._handle = h5py.File(self.file, "r")
         try:
-            with self._explained():
+            with self.explained():
                 self._check_header()
                 self._load_tables()
         except BaseException:
@@ -90,13 +102,13 @@ class ShardReader:
     @property
     def seconds(self) -> float:
         """How long it took to make, seconds."""
-        with self._explained():
+        with self.explained():
             return float(self._number("seconds"))
 
     @property
     def provenance(self) -> dict[str, str]:
         """What it was made with."""
-        with self._explained():
+        with self.explained():
             return dict(json.loads(self._handle.attrs["provenance"]))
 
     def stored_digest(self) -> str:
@@ -105,7 +117,7 @@ class ShardReader:
 
     def digest(self) -> str:
         """The checksum over the data as they are; reads all of them."""
-        with self._explained():
+        with self.explained():
             names = [*VARIABLES, "x", "y", *(name for name in OPTIONAL if name in self._handle)]
             return data_digest({name: self._texts(name) if name in TEXTS else self._handle[name][()] for name in names})
 
@@ -126,11 +138,9 @@ class ShardReader:
         """
         views = slice(int(self._view_start[row]), int(self._view_start[row + 1]))
         paths = slice(int(self._path_start[views.start]), int(self._path_start[views.stop]))
-        with self._explained():
-            metadata = json.loads(self._handle["metadata"].asstr()[row])
+        with self.explained():
+            metadata = self._metadata(row)
             occupancy = np.asarray(self._handle["occupancy"][row], np.uint8)
-            if not isinstance(metadata, dict) or metadata.get("sample") != int(self.samples[row]):
-                raise DataError(f"metadata of row {row} is not that of sample {self.samples[row]}")
             if (occupancy & ~np.uint8(sum(OCCUPANCY.values()))).any():
                 raise DataError(f"occupancy holds values other than sums of {list(OCCUPANCY.values())}")
             return Made(int(self.samples[row]), self._cir(row, views, paths, metadata), occupancy, metadata)
@@ -138,12 +148,30 @@ class ShardReader:
     def metadata(self, row: int) -> dict[str, Any]:
         """The metadata of the sample at an index, and its numbers of views and paths."""
         views = slice(int(self._view_start[row]), int(self._view_start[row + 1]))
-        with self._explained():
-            return dict(json.loads(self._handle["metadata"].asstr()[row])) | {
+        with self.explained():
+            return self._metadata(row) | {
                 "views": views.stop - views.start,
                 "paths": int(self._path_start[views.stop] - self._path_start[views.start]),
                 "extent_m": float(self._handle["target_extent"][row]),
             }
+
+    def _metadata(self, row: int) -> dict[str, Any]:
+        """The metadata at an index, with all that :class:`~mvla_sim.dataset.shard.Made` promises."""
+        number = int(self.samples[row])
+        found = json.loads(self._handle["metadata"].asstr()[row])
+        if not isinstance(found, dict) or found.get("sample") != number:
+            raise DataError(f"metadata of row {row} is not that of sample {number}")
+        for name, kind in (("family", str), ("split", str), ("objects", int), ("settings", dict)):
+            if not isinstance(found.get(name), kind):
+                raise DataError(
+                    f"metadata of sample {number}: {name} is {str(found.get(name))[:40]!r}, no {kind.__name__}"
+                )
+        scene = parse(SceneSettings, found["settings"], f"settings of sample {number}")
+        if len(scene.objects) != found["objects"]:
+            raise DataError(
+                f"metadata of sample {number}: objects = {found['objects']}, but the scene has another number"
+            )
+        return found
 
     def _cir(self, row: int, views: slice, paths: slice, metadata: dict[str, Any]) -> Cir:
         read = self._handle
@@ -163,11 +191,16 @@ class ShardReader:
             carrier_hz=float(read["carrier_frequency"][()]),
             bandwidth_hz=float(read["bandwidth"][()]),
             extent_m=float(read["target_extent"][row]),
-            outline=shapely.from_wkt(read["outline_wkt"].asstr()[row]),
+            outline=self._outline(row),
             antenna=self.campaign.radio.antenna,
             config=metadata.get("settings", {}),
             provenance=self.provenance,
         )  # fmt: skip
+
+    def _outline(self, row: int) -> Any:
+        found = shapely.from_wkt(self._handle["outline_wkt"].asstr()[row])
+        check_inside(found, VoxelGrid.from_settings(self.campaign.grid))
+        return found
 
     def _check_header(self) -> None:
         attributes = self._handle.attrs
@@ -185,9 +218,24 @@ class ShardReader:
             item = self._handle[name]
             if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual:
                 raise DataError(f"'{name}' is stored elsewhere; a shard holds its own data")
-        for name in VARIABLES:
+        for name in (*VARIABLES, "x", "y"):
             if name not in self._handle:
                 raise DataError(f"variable '{name}' is missing")
+        for name in (*VARIABLES, "x", "y", *(name for name in OPTIONAL if name in self._handle)):
+            self._check_variable(name)
+
+    def _check_variable(self, name: str) -> None:
+        """Refuse a variable of another type, or one that claims to hold more than the file can."""
+        item = self._handle[name]
+        kind = "text" if h5py.check_string_dtype(item.dtype) is not None else item.dtype.kind
+        if kind not in (("text",) if name in TEXTS else tuple("iuf")):
+            raise DataError(f"'{name}' has type {item.dtype}")
+        creation = item.id.get_create_plist()
+        filters = [creation.get_filter(number)[0] for number in range(creation.get_nfilters())]
+        if len(set(filters)) < len(filters) or not _FILTERS.issuperset(filters):
+            raise DataError(f"'{name}' is packed in a way that shards are not")
+        if item.size * item.dtype.itemsize > max(MOST_PACKED * self._bytes, LEAST_ROOM):
+            raise DataError(f"'{name}' claims to hold {item.size} values, more than a file of {self._bytes} bytes can")
 
     def _load_tables(self) -> None:
         """Read what says where everything is, and check that it adds up."""
@@ -204,18 +252,22 @@ class ShardReader:
         there = sorted([*self.samples.tolist(), *(failure.sample for failure in self.failed)])
         if there != list(numbers_of(self.campaign, self.number)) or (np.diff(self.samples) <= 0).any():
             raise DataError(f"holds samples {there[:3]}… in another order or number than shard {self.number} has")
-        nx, ny, _ = VoxelGrid.from_settings(self.campaign.grid).counts
+        grid = VoxelGrid.from_settings(self.campaign.grid)
+        nx, ny, _ = grid.counts
         count, views, paths = self.samples.size, self._row_size.size, read["delay"].size
         shapes: dict[str, tuple[int, ...]] = {
             "view_count": (count,), "center": (count, 2), "target_extent": (count,), "occupancy": (count, ny, nx),
             "outline_wkt": (count,), "metadata": (count,), "position": (views, 3), "angle": (views,),
             "receiver": (views, 3), "boresight": (views, 3), "gain_real": (paths,), "gain_imag": (paths,),
             "delay": (paths,), "interaction": (paths,), "first_point": (paths, 3), "carrier_frequency": (),
-            "bandwidth": (),
+            "bandwidth": (), "x": (nx,), "y": (ny,),
         }  # fmt: skip
         for name, shape in shapes.items():
             if name in read and read[name].shape != shape:
                 raise DataError(f"{name} has shape {read[name].shape}, must be {shape}")
+        for name, axis in zip("xy", grid.axes()[:2], strict=True):
+            if not np.allclose(read[name][()], axis, rtol=0, atol=1e-9):
+                raise DataError(f"{name} is not that of the campaign's grid")
         for name, sizes, total in (("view_count", view_count, views), ("row_size", self._row_size, paths)):
             if (sizes < 0).any() or int(sizes.sum()) != total:
                 raise DataError(f"{name} adds up to {sizes.sum()}, the file holds {total}")
@@ -227,10 +279,19 @@ class ShardReader:
         return np.ravel(self._handle.attrs[name])[0]
 
     def _texts(self, name: str) -> list[str]:
-        return [str(text) for text in self._handle[name].asstr()[()]]
+        """All texts of a variable; they are not packed, so more than the file's size is one text many times over."""
+        found: list[str] = []
+        left = self._bytes
+        item = self._handle[name].asstr()
+        for row in range(self._handle[name].size):
+            found.append(str(item[row]))
+            left -= len(found[-1])
+            if left < 0:
+                raise DataError(f"'{name}' claims to hold more text than a file of {self._bytes} bytes can")
+        return found
 
     @contextlib.contextmanager
-    def _explained(self) -> Iterator[None]:
+    def explained(self) -> Iterator[None]:
         """Within the block, whatever a damaged file raises becomes one line that names it."""
         try:
             yield

@@ -219,7 +219,10 @@ def _arrange(
     count = _draw(family.objects, random)
     for _ in range(DRAWS):
         trajectory = _trajectory(campaign, random)
-        objects = _place(campaign, family, count, _sensors(campaign, trajectory, source), random)
+        try:
+            objects = _place(campaign, family, count, _sensors(campaign, trajectory, source), random)
+        except ConfigError as error:
+            raise ConfigError(f"{source}: family '{family.name}': {error}") from error
         if objects is not None:
             return objects, trajectory
     raise ConfigError(
@@ -247,26 +250,29 @@ def _trajectory(campaign: CampaignSettings, random: np.random.Generator) -> Traj
     return parse(_Trajectory, {"trajectory": data}, "trajectory").trajectory
 
 
-def _sensors(campaign: CampaignSettings, trajectory: TrajectorySettings, source: str) -> NDArray[np.float64]:
-    """Where transmitters and receivers stand, seen from above, ``[n, 2]`` metres."""
+def _sensors(campaign: CampaignSettings, trajectory: TrajectorySettings, source: str) -> BaseGeometry:
+    """Where transmitters and receivers stand, seen from above, metres."""
     x, y, _ = campaign.grid.center_m
     views = build_views(trajectory, (x, y), f"{source}: trajectory")
     places = [views.positions_m] if views.receivers_m is None else [views.positions_m, views.receivers_m]
-    return np.asarray(np.concatenate(places)[:, :2], np.float64)
+    found = shapely.MultiPoint(np.concatenate(places)[:, :2])
+    shapely.prepare(found)
+    return found
 
 
-def _any_within(points: NDArray[np.float64], area: BaseGeometry, distance_m: float) -> bool:
-    """Whether a point is within a distance of an area; only those near its bounding box are looked at closely."""
+def _any_within(sensors: BaseGeometry, area: BaseGeometry, distance_m: float) -> bool:
+    """Whether a sensor is within a distance of an area; where none is near its bounding box, this takes no time."""
+    x, y = shapely.get_coordinates(sensors).T
     x0, y0, x1, y1 = area.bounds
-    near = ((points >= [x0 - distance_m, y0 - distance_m]) & (points <= [x1 + distance_m, y1 + distance_m])).all(axis=1)
-    return bool(near.any() and shapely.dwithin(shapely.MultiPoint(points[near]), area, distance_m))
+    near = (x >= x0 - distance_m) & (x <= x1 + distance_m) & (y >= y0 - distance_m) & (y <= y1 + distance_m)
+    return bool(near.any() and shapely.dwithin(sensors, area, distance_m))
 
 
 def _place(
     campaign: CampaignSettings,
     family: FamilySettings,
     count: int,
-    sensors: NDArray[np.float64],
+    sensors: BaseGeometry,
     random: np.random.Generator,
 ) -> list[Plain] | None:
     """Objects that keep their distances, or None where one finds no place."""

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from mvla_sim.config.imaging import METHOD_NAMES, ImagingSettings, ThresholdSettings, split_method
+from mvla_sim.config.imaging import ImagingSettings, ThresholdSettings, split_method
 from mvla_sim.dataset.access import BenchmarkDataset, open_dataset
 from mvla_sim.dataset.protocol import (
     PROTOCOL,
@@ -24,7 +24,7 @@ from mvla_sim.dataset.protocol import (
 )
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import atomic_output, check_writable
-from mvla_sim.imaging.methods.registry import find_method
+from mvla_sim.imaging.methods.registry import find_method, phase_free_methods
 from mvla_sim.runtime.cluster import Cluster, InProcess
 from mvla_sim.runtime.interrupt import interruptible
 from mvla_sim.runtime.machine import program_version
@@ -79,7 +79,7 @@ class Result:
 
 def score_dataset(
     folder: str | os.PathLike[str],
-    methods: Sequence[str] = METHOD_NAMES,
+    methods: Sequence[str] | None = None,
     overrides: Sequence[str] = (),
     *,
     label: str | None = None,
@@ -94,7 +94,7 @@ def score_dataset(
     folder
         The dataset's directory.
     methods
-        Names, as in ``method`` of the settings.
+        Names, as in ``method`` of the settings; by default every one of the package that needs no phase.
     overrides
         ``dotted.key=value`` texts for the methods' own settings.
     label
@@ -125,7 +125,7 @@ def score_dataset(
         for split in (validation, test):
             if not len(split):
                 raise DataError(f"{folder}: the {split.split} split has no samples, so nothing can be scored")
-        entries = plan_entries(validation, methods, overrides, label)
+        entries = plan_entries(validation, methods or phase_free_methods(), overrides, label)
         stored = {} if fresh else {result.label: result.identity for result in load_results(test, place)}
         missing = [entry for entry in entries if stored.get(entry.label) != _identity(entry, test)]
         if missing:

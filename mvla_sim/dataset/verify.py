@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,6 +141,9 @@ def _check_sample(index: Index, made: Made, file: Path) -> None:
     for key, value in wanted.items():
         if made.metadata.get(key) != value:
             raise DataError(f"{file}: sample {number}: {key} is {made.metadata.get(key)!r}, must be {value!r}")
+    for name, told in (("carrier", made.cir.carrier_hz), ("bandwidth", made.cir.bandwidth_hz)):
+        if told != (right := getattr(campaign.radio, f"{name}_hz")):
+            raise DataError(f"{file}: {name} is {told:g} Hz, must be {right:g} Hz")
     if not np.array_equal(made.occupancy, occupancy_of(made.cir.outline, VoxelGrid.from_settings(campaign.grid))):
         raise DataError(f"{file}: sample {number}: the occupancy is not that of the outline")
 
@@ -162,13 +165,22 @@ def _recompute(index: Index, number: int) -> float:
         raise DataError("its outline is not that of its scene")
     if not np.array_equal(stored.occupancy, again.occupancy):
         raise DataError("its occupancy is not that of its scene")
-    for name in ("positions_m", "angles_deg"):
-        if not np.allclose(getattr(stored.cir.views, name), getattr(again.cir.views, name), rtol=0, atol=1e-9):
+    for name in ("positions_m", "angles_deg", "center_m", "receivers_m", "boresights"):
+        if not _same(getattr(stored.cir.views, name), getattr(again.cir.views, name)):
             raise DataError("its views are not those of its scene")
+    if not _same(stored.cir.extent_m, again.cir.extent_m):
+        raise DataError("its largest extent is not that of its scene")
     share = unmatched_share(stored.cir, again.cir)
     if share > STRAY:
         raise DataError(f"{100 * share:.2g} % of its paths are not found again; at most {100 * STRAY:g} % are allowed")
     return share
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether two arrays of lengths or directions agree, or both are absent."""
+    if one is None or other is None:
+        return one is other
+    return np.shape(one) == np.shape(other) and np.allclose(one, other, rtol=0, atol=1e-9)
 
 
 def unmatched_share(one: Cir, other: Cir) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,9 @@ from mvla_sim.config.imaging import EvaluationSettings
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.ground_truth import check_inside, rasterize
 from mvla_sim.evaluation.metrics import Scores, score
+from mvla_sim.evaluation.ranking import average_precision
 from mvla_sim.evaluation.tuning import Optimum, TruthGeometry, optimal_thresholds
+from mvla_sim.imaging.automatic import thresholds_of
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.threshold import joint_threshold, top_count
 
@@ -26,13 +29,16 @@ class Evaluation:
     Attributes
     ----------
     protocol
-        ``optimal``: thresholds chosen with the ground truth (an oracle); ``given``: thresholds from the settings.
+        ``optimal``: thresholds chosen with the ground truth (an oracle); ``given``: thresholds from the settings;
+        ``auto``: from the image, without the truth.
     top_percent, min_support_deg
         The thresholds p (per cent of all voxels) and T_θ (degrees) that ``scores`` were measured at.
     scores
         CD, accuracy, completeness, precision, recall, F1 and Hausdorff-95 at those thresholds.
     optimum
         The exact optimum over every p and T_θ; None where it was not asked for.
+    average_precision
+        :func:`~mvla_sim.evaluation.ranking.average_precision` by column name; empty where it was not asked for.
     truth, occupied
         Ground truth and binary reconstruction, ``[nz, ny, nx]`` bool.
     """
@@ -42,6 +48,7 @@ class Evaluation:
     min_support_deg: float
     scores: Scores
     optimum: Optimum | None
+    average_precision: Mapping[str, float]
     truth: NDArray[np.bool_]
     occupied: NDArray[np.bool_]
 
@@ -57,6 +64,7 @@ class Evaluation:
             "top_percent": self.top_percent,
             "min_support_deg": self.min_support_deg,
             **self.scores.as_dict(),
+            **self.average_precision,
         }
         if self.optimum is not None:
             row["optimal_cd_db"] = self.optimum.cd_db
@@ -118,11 +126,17 @@ def evaluate(
     if with_optimum or settings.threshold is None:
         optimum = optimal_thresholds(image.score, image.support_deg, geometry)
     if settings.threshold is not None:
-        protocol, percent, support = "given", settings.threshold.top_percent, settings.threshold.min_support_deg
+        pair = thresholds_of(settings.threshold, image.score, image.support_deg)
+        protocol = "auto" if settings.threshold == "auto" else "given"
+        percent, support = pair.top_percent, pair.min_support_deg
         top_count(percent, image.grid.size)
     else:
         assert optimum is not None
         protocol, percent, support = "optimal", optimum.top_percent, optimum.min_support_deg
     occupied = joint_threshold(image.score, image.support_deg, percent, support)
     scores = score(truth, occupied, image.grid, settings.distances_m)
-    return Evaluation(protocol, percent, support, scores, optimum, truth, occupied)
+    ranked = {}
+    if settings.average_precision:
+        distance = max(settings.distances_m)
+        ranked[f"ap_{100 * distance:g}cm"] = average_precision(image.score, geometry, distance)
+    return Evaluation(protocol, percent, support, scores, optimum, ranked, truth, occupied)

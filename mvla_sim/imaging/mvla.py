@@ -11,7 +11,7 @@ from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import RangeProfiles
 from mvla_sim.runtime.memory import check_memory
 
-__all__ = ["hard_profiles", "kernel_scales", "likelihood_profiles"]
+__all__ = ["hard_profiles", "kernel_scales", "likelihood_profiles", "nearest_peak", "range_axis"]
 
 _SAMPLES_PER_SIGMA = 16
 """Nodes per σ_R: linear interpolation then errs by at most h²/(8σ²) = 4.9·10⁻⁴ of a kernel's peak."""
@@ -38,7 +38,13 @@ def kernel_scales(settings: MvlaSettings, resolution_m: float, extent_m: float) 
     return sigma, max(sigma, settings.eta * extent) if settings.eta > 0 else sigma
 
 
-def likelihood_profiles(peaks: Peaks, sigma_m: float, radius_m: float, span_m: tuple[float, float]) -> RangeProfiles:
+def likelihood_profiles(
+    peaks: Peaks,
+    sigma_m: float,
+    radius_m: float,
+    span_m: tuple[float, float],
+    weight: NDArray[np.float64] | None = None,
+) -> RangeProfiles:
     """Profiles of MVLA-GR: q_m(r) = Σ_i w_mi φ(r − R_mi) (``eq:view_support_new``), and the nearest peak's distance.
 
     Parameters
@@ -49,6 +55,8 @@ def likelihood_profiles(peaks: Peaks, sigma_m: float, radius_m: float, span_m: t
         σ_R and R_T, metres.
     span_m
         Ranges at which the grid is seen; the axis covers them.
+    weight
+        Weight of each peak, ``[n_peak]``; by default w_mi, its share of the view's power.
 
     Returns
     -------
@@ -67,7 +75,7 @@ def likelihood_profiles(peaks: Peaks, sigma_m: float, radius_m: float, span_m: t
     middle = np.rint((peaks.range_m - start) / step).astype(np.intp)
     distance = (start + step * middle - peaks.range_m)[:, None] + step * around
     kernel = np.exp(distance**2 / (-2 * sigma_m**2))
-    kernel *= peaks.weight[:, None] * (np.abs(distance) <= reach)
+    kernel *= (peaks.weight if weight is None else weight)[:, None] * (np.abs(distance) <= reach)
     margin = 2 * half + 1  # on both sides, so that a kernel may reach over an end; farther ones are moved onto it
     width = count + 2 * margin
     place = (peaks.view * width + margin + np.clip(middle, -half - 1, count + half))[:, None] + around
@@ -76,7 +84,7 @@ def likelihood_profiles(peaks: Peaks, sigma_m: float, radius_m: float, span_m: t
         np.ascontiguousarray(values[:, margin : margin + count], np.float32),
         start,
         step,
-        _nearest(peaks, start, step, count),
+        nearest_peak(peaks, start, step, count),
         radius_m,
     )
 
@@ -86,7 +94,14 @@ def hard_profiles(peaks: Peaks, tolerance_m: float, span_m: tuple[float, float])
     step = tolerance_m / _SAMPLES_PER_SIGMA
     start, count = _axis(span_m, step, peaks.n_view)
     values = np.ones((peaks.n_view, count), np.float32)
-    return RangeProfiles(values, start, step, _nearest(peaks, start, step, count), tolerance_m)
+    return RangeProfiles(values, start, step, nearest_peak(peaks, start, step, count), tolerance_m)
+
+
+def range_axis(span_m: tuple[float, float], sigma_m: float, n_view: int) -> tuple[float, float, NDArray[np.float64]]:
+    """First range, spacing and nodes, ``[n_range]`` metres, of an axis fine enough for kernels of width σ_R."""
+    step = sigma_m / _SAMPLES_PER_SIGMA
+    start, count = _axis(span_m, step, n_view)
+    return start, step, np.asarray(start + step * np.arange(count), np.float64)
 
 
 def _axis(span_m: tuple[float, float], step: float, n_view: int) -> tuple[float, int]:
@@ -101,7 +116,7 @@ def _axis(span_m: tuple[float, float], step: float, n_view: int) -> tuple[float,
     return first * step, count
 
 
-def _nearest(peaks: Peaks, start: float, step: float, count: int) -> NDArray[np.float32]:
+def nearest_peak(peaks: Peaks, start: float, step: float, count: int) -> NDArray[np.float32]:
     """Distance from each node to the nearest peak of the view, ``[n_view, count]``; far where it has none."""
     nearest = np.full((peaks.n_view, count), _FAR_M, np.float32)
     nodes = start + step * np.arange(count)

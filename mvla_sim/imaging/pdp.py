@@ -42,6 +42,8 @@ class Pdp:
         Width of the window's main lobe relative to that of no window (its equivalent noise bandwidth).
     window, oversampling
         As in the settings: what noise of the same band looks like.
+    carrier_hz
+        Carrier frequency, which phase-free methods never look at.
     """
 
     power: NDArray[np.float64]
@@ -52,6 +54,7 @@ class Pdp:
     broadening: float
     window: Window = field(default_factory=Window)
     oversampling: int = 1
+    carrier_hz: float = float("nan")
 
     @property
     def range_m(self) -> NDArray[np.float64]:
@@ -116,7 +119,10 @@ def compute_pdp(channel: Cir | FrequencyResponse, settings: PdpSettings, gate_m:
         _check_unambiguous(channel, settings, gate_m)
         amplitude = _transformed(channel, window, settings.oversampling, first, count)
         power = amplitude.real**2 + amplitude.imag**2
-        return Pdp(power, amplitude, first * step, step, resolution, window.broadening, window, settings.oversampling)
+        return Pdp(
+            power, amplitude, first * step, step, resolution, window.broadening, window, settings.oversampling,
+            channel.carrier_hz,
+        )  # fmt: skip
     cir = channel
     margin = _MARGIN_CELLS * settings.oversampling
     frequencies = frequency_count(count, settings.oversampling)
@@ -149,7 +155,10 @@ def compute_pdp(channel: Cir | FrequencyResponse, settings: PdpSettings, gate_m:
         impulse = np.fft.ifft(spectrum, length)[margin : margin + count]
         amplitude[view] = impulse * turn * (length / weights.sum())
     power = amplitude.real**2 + amplitude.imag**2
-    return Pdp(power, amplitude, first * step, step, resolution, window.broadening, window, settings.oversampling)
+    return Pdp(
+        power, amplitude, first * step, step, resolution, window.broadening, window, settings.oversampling,
+        channel.carrier_hz,
+    )  # fmt: skip
 
 
 def _check_unambiguous(channel: FrequencyResponse, settings: PdpSettings, gate_m: tuple[float, float]) -> None:

@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 
 from mvla_sim.channel.components import Components
 from mvla_sim.channel.files import Channel
+from mvla_sim.channel.impair import assumed_views, impair_channel, remaining_views
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.config.imaging import ImagingSettings, NoiseSettings, ViewSettings
 from mvla_sim.constants import range_resolution
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.imaging.automatic import thresholds_of
 from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.methods.base import Method
@@ -25,7 +27,23 @@ from mvla_sim.runtime.provenance import provenance
 from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 
-__all__ = ["check_peaks", "front_end", "reconstruct", "select_views"]
+__all__ = ["check_peaks", "chosen_views", "front_end", "impaired", "reconstruct", "select_views"]
+
+
+def impaired(channel: Channel, settings: ImagingSettings, grid: VoxelGrid) -> Channel:
+    """Return the channel as the settings impair it; it alone is what imaging sees of it.
+
+    The range gate, where false echoes are too, is that of the assumed positions.
+
+    Raises
+    ------
+    ConfigError
+        An impairment that this kind of channel does not take, or a delay would become negative.
+    """
+    own = settings.impairments.of_channel(settings.noise.seed)
+    if own is None:
+        return channel
+    return impair_channel(channel, own, gate_for(grid, assumed_views(channel.views, own), settings.pdp))
 
 
 def front_end(channel: Channel, settings: ImagingSettings, grid: VoxelGrid) -> FrontEnd:
@@ -95,6 +113,29 @@ def select_views(views: Views, settings: ViewSettings) -> NDArray[np.intp]:
     return np.arange(settings.offset, len(views), stride)
 
 
+def chosen_views(views: Views, settings: ImagingSettings) -> NDArray[np.intp]:
+    """Indices of the views that an image is made of: of those of :func:`select_views` what is neither lost nor blocked.
+
+    Parameters
+    ----------
+    views
+        All views of the file, at their true positions.
+    settings
+        ``views``, ``impairments``, and the seed of ``noise`` where the impairments have none.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`select_views`, or no view is left.
+    """
+    chosen = select_views(views, settings.views)
+    own = settings.impairments
+    if not own.missing_share and not own.sector_width_deg:
+        return chosen
+    seed = settings.noise.seed if own.seed is None else own.seed
+    return remaining_views(views, chosen, own.model_copy(update={"seed": seed}))
+
+
 def check_peaks(method: Method, front: FrontEnd) -> None:
     """Refuse to make an image of peaks where no chosen view has one.
 
@@ -117,7 +158,7 @@ def reconstruct(channel: Channel, settings: ImagingSettings | None = None) -> Im
     channel
         All views: traced paths, measured frequency responses, or ready-made components.
     settings
-        Method, grid, front end, noise and views; the defaults are the paper's.
+        Method, grid, front end, noise, views and impairments; the defaults are the paper's.
 
     Returns
     -------
@@ -132,7 +173,8 @@ def reconstruct(channel: Channel, settings: ImagingSettings | None = None) -> Im
     settings = settings or ImagingSettings()
     grid = VoxelGrid.from_settings(settings.grid)
     check_grid(grid)
-    chosen = select_views(channel.views, settings.views)
+    chosen = chosen_views(channel.views, settings)
+    channel = impaired(channel, settings, grid)
     front = front_end(channel, settings, grid).select(chosen)
     method = find_method(settings.method)
     check_peaks(method, front)
@@ -148,8 +190,9 @@ def reconstruct(channel: Channel, settings: ImagingSettings | None = None) -> Im
     result = method.image(seen)
     occupied = None
     if settings.threshold is not None:
+        chosen_pair = thresholds_of(settings.threshold, result.score, result.support_deg)
         occupied = joint_threshold(
-            result.score, result.support_deg, settings.threshold.top_percent, settings.threshold.min_support_deg
+            result.score, result.support_deg, chosen_pair.top_percent, chosen_pair.min_support_deg
         )
     used = settings.model_copy(update={"noise": _noise(channel, settings.noise)})
     return Image(

@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import Cir
+from mvla_sim.channel.impair import assumed_views, impair
 from mvla_sim.config.antenna import AntennaSettings
 from mvla_sim.config.imaging import EvaluationSettings, GridSettings, ImagingSettings, PdpSettings
+from mvla_sim.config.impairments import ImpairmentSettings
 from mvla_sim.errors import reason
 from mvla_sim.evaluation.evaluate import Evaluation, evaluate, ground_truth
 from mvla_sim.evaluation.ground_truth import TruthGeometry
@@ -29,7 +31,7 @@ from mvla_sim.imaging.noise import add_noise
 from mvla_sim.imaging.observation import FrontEnd, Observation
 from mvla_sim.imaging.pdp import Pdp, compute_pdp, gate_for
 from mvla_sim.imaging.peaks import Peaks, extract_peaks
-from mvla_sim.imaging.pipeline import check_peaks, select_views
+from mvla_sim.imaging.pipeline import check_peaks, chosen_views
 from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 from mvla_sim.sweep.case import Case, Row
@@ -37,7 +39,7 @@ from mvla_sim.sweep.case import Case, Row
 __all__ = ["Batch", "CaseRunner", "Channel", "Outcome", "channel_key", "prepare", "reason", "results", "run_batch"]
 
 Value = TypeVar("Value")
-ChannelKey = tuple[str, PdpSettings, tuple[float, float]]
+ChannelKey = tuple[str, PdpSettings, tuple[float, float], ImpairmentSettings | None]
 
 
 @dataclass(frozen=True)
@@ -47,15 +49,17 @@ class Channel:
     Attributes
     ----------
     views
-        Views of the file.
+        Views of the file, where imaging believes them to be.
     pdp
-        Clean power delay profiles of all of them.
+        Power delay profiles of all of them, without noise.
     extent_m
         The target's extent D, metres.
     outline
         The target's cross-section; imaging never looks at it.
     antenna
         Pattern of the antennas, which tells where their beam reaches.
+    true_views
+        Where the views were in fact; None: where they are believed to be.
     """
 
     views: Views
@@ -63,6 +67,12 @@ class Channel:
     extent_m: float
     outline: Any
     antenna: AntennaSettings
+    true_views: Views | None = None
+
+    @property
+    def nominal_views(self) -> Views:
+        """Views at their true positions, which decide what is chosen of them."""
+        return self.views if self.true_views is None else self.true_views
 
 
 @dataclass(frozen=True)
@@ -83,13 +93,22 @@ class Outcome:
 
 
 def channel_key(case: Case, views: Views) -> ChannelKey:
-    """What decides a case's clean profiles: CIR, PDP settings, range gate in metres."""
-    gate = gate_for(VoxelGrid.from_settings(case.imaging.grid), views, case.imaging.pdp)
-    return case.channel, case.imaging.pdp, gate
+    """What decides a case's profiles before noise: CIR, PDP settings, range gate in metres, impairments of the CIR."""
+    own = case.imaging.impairments.of_channel(case.imaging.noise.seed)
+    seen = views if own is None else assumed_views(views, own)
+    gate = gate_for(VoxelGrid.from_settings(case.imaging.grid), seen, case.imaging.pdp)
+    return case.channel, case.imaging.pdp, gate, own
 
 
-def prepare(file: Path, settings: PdpSettings, gate_m: tuple[float, float], *, with_amplitude: bool = True) -> Channel:
-    """Compute the clean profiles of a CIR file.
+def prepare(
+    file: Path,
+    settings: PdpSettings,
+    gate_m: tuple[float, float],
+    impairments: ImpairmentSettings | None = None,
+    *,
+    with_amplitude: bool = True,
+) -> Channel:
+    """Compute the profiles of a CIR file, impaired or not, without noise.
 
     Parameters
     ----------
@@ -99,6 +118,8 @@ def prepare(file: Path, settings: PdpSettings, gate_m: tuple[float, float], *, w
         Window and oversampling.
     gate_m
         (near, far), one-way metres.
+    impairments
+        What is wrong with delays, gains and positions.
     with_amplitude
         Keep the complex amplitudes, which complex noise alone needs.
 
@@ -106,13 +127,16 @@ def prepare(file: Path, settings: PdpSettings, gate_m: tuple[float, float], *, w
     ------
     DataError
         The file cannot be read (the message names it), or the gate holds no path.
+    ConfigError
+        An impairment does not fit the file.
     """
     stamp = file.stat().st_mtime_ns if file.exists() else 0
-    cir = _load(file, stamp)
+    loaded = _load(file, stamp)
+    cir = loaded if impairments is None else impair(loaded, impairments, gate_m)
     pdp = compute_pdp(cir, settings, gate_m)
     if not with_amplitude:
         pdp = replace(pdp, amplitude=None)
-    return Channel(cir.views, pdp, cir.extent_m, cir.outline, cir.antenna)
+    return Channel(cir.views, pdp, cir.extent_m, cir.outline, cir.antenna, loaded.views)
 
 
 def run_batch(batch: Batch, runner: CaseRunner | None = None) -> list[Row]:
@@ -168,7 +192,7 @@ class CaseRunner:
         """Image and score a case; raises what is wrong with it."""
         channel, imaging = self.channel, case.imaging
         grid = VoxelGrid.from_settings(imaging.grid)
-        chosen = select_views(channel.views, imaging.views)
+        chosen = chosen_views(channel.nominal_views, imaging)
         method = find_method(imaging.method)
         result = method.image(self._observation(method, imaging, grid, chosen))
         image = Image(result.score, result.support_deg, grid, imaging.method, chosen.size, outline=channel.outline)

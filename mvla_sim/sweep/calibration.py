@@ -81,7 +81,14 @@ class Calibration:
             )
         if set(table.get("protocol", ())) != {"optimal"}:
             raise DataError(f"calibration: the thresholds of {source} were given, not optimised; name another one")
-        by = ("scene", *(name for name in axes if name not in settings.over))
+        if settings.scenes is not None:
+            there = sorted(set(table["scene"]))
+            if missing := sorted(set(settings.scenes) - set(there)):
+                raise DataError(
+                    f"calibration.scenes: {source} has no scene '{missing[0]}'; allowed: {', '.join(there)}"
+                )
+            table = table[table["scene"].isin(settings.scenes)]
+        by = tuple(name for name in ("scene", *axes) if name not in settings.over)
         found = {
             tuple(_normal(record[name]) for name in by): ThresholdSettings(
                 top_percent=float(record["top_percent"]), min_support_deg=float(record["min_support_deg"])

@@ -83,7 +83,7 @@ def case_key(channel: str, imaging: ImagingSettings, evaluation: EvaluationSetti
     data = {
         "schema": ROW_SCHEMA,
         "channel": channel,
-        "imaging": imaging.model_dump(mode="json"),
+        "imaging": imaging.model_dump(mode="json", exclude=None if imaging.impairments.acting else {"impairments"}),
         "evaluation": evaluation.model_dump(mode="json"),
     }
     if digest := find_method(imaging.method).digest:  # somebody's method: their code decides as well

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mvla_sim.channel.simulate import cache_file, simulate
 from mvla_sim.config.imaging import PdpSettings
+from mvla_sim.config.impairments import ImpairmentSettings
 from mvla_sim.errors import DataError, OutputError
 from mvla_sim.runtime.cache import cache_folder, is_shared, pull, push
 from mvla_sim.scene.world import Scene
@@ -17,6 +18,7 @@ from mvla_sim.sweep.case import Case, Row
 __all__ = ["Failed", "prepare_here", "prepare_sent", "prepare_shared", "run_cases", "trace_and_send", "trace_and_share"]
 
 Gate = tuple[float, float]
+Impairments = ImpairmentSettings | None
 
 
 @dataclass(frozen=True)
@@ -45,30 +47,36 @@ def trace_and_share(scene: Scene) -> None:
     push(file)
 
 
-def prepare_here(file: Path, settings: PdpSettings, gate_m: Gate, with_amplitude: bool) -> Channel | Failed:
-    """Compute clean profiles of a CIR file of this machine; see :func:`mvla_sim.sweep.batch.prepare`."""
+def prepare_here(
+    file: Path, settings: PdpSettings, gate_m: Gate, impairments: Impairments, with_amplitude: bool
+) -> Channel | Failed:
+    """Compute profiles of a CIR file of this machine; see :func:`mvla_sim.sweep.batch.prepare`."""
     try:
-        return prepare(file, settings, gate_m, with_amplitude=with_amplitude)
+        return prepare(file, settings, gate_m, impairments, with_amplitude=with_amplitude)
     except Exception as error:  # noqa: BLE001 - becomes the error of every case that needs it
         return Failed(reason(error), isinstance(error, DataError) and str(file) in str(error))
 
 
-def prepare_sent(content: bytes, settings: PdpSettings, gate_m: Gate, with_amplitude: bool) -> Channel | Failed:
+def prepare_sent(
+    content: bytes, settings: PdpSettings, gate_m: Gate, impairments: Impairments, with_amplitude: bool
+) -> Channel | Failed:
     """The same of the content of a file."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "cir.nc"
         file.write_bytes(content)
-        return prepare_here(file, settings, gate_m, with_amplitude)
+        return prepare_here(file, settings, gate_m, impairments, with_amplitude)
 
 
-def prepare_shared(name: str, settings: PdpSettings, gate_m: Gate, with_amplitude: bool) -> Channel | Failed:
+def prepare_shared(
+    name: str, settings: PdpSettings, gate_m: Gate, impairments: Impairments, with_amplitude: bool
+) -> Channel | Failed:
     """The same of a CIR of the shared cache, which is kept on this machine as well."""
     file = cache_folder() / "cir" / name
     try:
         pull(file)
     except OutputError as error:
         return Failed(reason(error), False)
-    result = prepare_here(file, settings, gate_m, with_amplitude)
+    result = prepare_here(file, settings, gate_m, impairments, with_amplitude)
     if isinstance(result, Failed) and result.damaged:
         file.unlink(missing_ok=True)
     return result

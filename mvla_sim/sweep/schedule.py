@@ -41,7 +41,7 @@ class Task:
     scene
         Its scene.
     key
-        CIR, PDP settings and range gate.
+        CIR, PDP settings, range gate, and impairments of the CIR.
     with_amplitude
         Whether a case needs complex amplitudes.
     batches
@@ -78,7 +78,8 @@ def tasks_of(plan: Plan, cases: Sequence[Case], workers: int) -> list[Task]:
     groups: dict[ChannelKey, list[Case]] = {}
     keys: dict[object, ChannelKey] = {}
     for case in cases:
-        place = (case.channel, case.imaging.pdp, case.imaging.grid)
+        own = case.imaging.impairments.of_channel(case.imaging.noise.seed)
+        place = (case.channel, case.imaging.pdp, case.imaging.grid, own)
         if place not in keys:
             keys[place] = channel_key(case, plan.scenes[case.channel].views)
         groups.setdefault(keys[place], []).append(case)
@@ -87,11 +88,16 @@ def tasks_of(plan: Plan, cases: Sequence[Case], workers: int) -> list[Task]:
         Task(
             scene=plan.scenes[key[0]],
             key=key,
-            with_amplitude=any(case.imaging.noise.kind == "complex" for case in group),
+            with_amplitude=any(_needs_amplitude(case) for case in group),
             batches=tuple(_cut(_ordered(group), len(plan.scenes[key[0]].views), target)),
         )
         for key, group in groups.items()
     ]
+
+
+def _needs_amplitude(case: Case) -> bool:
+    """Whether complex amplitudes must be kept: for complex noise, and for methods that look at them."""
+    return case.imaging.noise.kind == "complex" or find_method(case.imaging.method).uses_amplitude
 
 
 def _ordered(cases: Sequence[Case]) -> list[Case]:

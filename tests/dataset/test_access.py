@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import multiprocessing
 import pickle
+import re
 import shutil
+import time
 
 import h5py
 import numpy as np
@@ -248,6 +250,128 @@ def test_a_damaged_shard_is_one_line(copy, how):
         open_dataset(copy)[0]
     assert "\n" not in str(told.value)
     assert open_dataset(copy)[5].metadata["sample"] == 5
+
+
+class Bomb:
+    """Pickled, it would leave a mark where it is unpickled."""
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def __reduce__(self):
+        return (open, (str(self.mark), "w"))
+
+
+@pytest.mark.parametrize("what", ["shard", "index", "metadata", "values"])
+def test_nothing_is_unpickled(copy, tmp_path, what):
+    mark = tmp_path / "mark"
+    content = pickle.dumps(Bomb(mark))
+    file = copy / "shard-00000.nc"
+    if what == "shard":
+        np.save(copy / "x.npy", np.array([Bomb(mark)], object), allow_pickle=True)
+        (copy / "x.npy").rename(file)
+    elif what == "index":
+        (copy / INDEX).write_bytes(content)
+    else:
+        name = "metadata" if what == "metadata" else "gain_real"
+        with h5py.File(file, "r+") as opened:
+            shape = opened[name].shape
+            del opened[name]
+            opened.create_dataset(name, data=np.full(shape, np.void(content)))
+    with pytest.raises(DataError) as told:
+        open_dataset(copy)[0]
+    assert "\n" not in str(told.value)
+    assert not mark.exists()
+
+
+def without_storage(file, name, shape, dtype):
+    """A variable that claims to be huge, of which nothing is stored."""
+    del file[name]
+    file.create_dataset(name, shape, dtype, chunks=(1 << 16, *shape[1:]))
+
+
+def packed_twice(file):
+    del file["delay"]
+    creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    creation.set_chunk((1 << 16,))
+    creation.set_deflate(9)
+    creation.set_deflate(9)
+    space = h5py.h5s.create_simple((1 << 16,))
+    h5py.h5d.create(file.id, b"delay", h5py.h5t.IEEE_F64LE, space, creation)
+
+
+def one_text_many_times(file):
+    """Of four failed samples with long errors; a shard of ten thousand could claim gigabytes so."""
+    del file["failed_sample"], file["failed_error"]
+    file["failed_sample"] = np.arange(4)
+    file.create_dataset("failed_error", (4,), h5py.string_dtype(), fillvalue="x" * 400_000)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda f: without_storage(f, "row_size", (10**13,), "i8"), "'row_size' claims to hold 10000000000000 values"),
+        (lambda f: without_storage(f, "delay", (10**13,), "f8"), "'delay' claims to hold"),
+        (lambda f: without_storage(f, "first_point", (10**12, 3), "f4"), "'first_point' claims to hold"),
+        (lambda f: without_storage(f, "sample", (10**13,), "i8"), "'sample' claims to hold"),
+        (packed_twice, "'delay' is packed in a way that shards are not"),
+        (one_text_many_times, "'failed_error' claims to hold more text than a file of"),
+        (lambda f: f["x"].__setitem__(0, 99.0), "x is not that of the campaign's grid"),
+        (lambda f: f["metadata"].__setitem__(0, '{"sample": 0}'), "metadata of sample 0: family is 'None', no str"),
+    ],
+)
+def test_a_shard_that_lies_about_its_size_or_content_is_one_line(copy, change, message):
+    with h5py.File(copy / "shard-00000.nc", "r+") as file:
+        change(file)
+    began = time.process_time()
+    with pytest.raises(DataError, match=re.escape(message)) as told:
+        open_dataset(copy)[0]
+    assert "\n" not in str(told.value)
+    assert time.process_time() - began < 2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d.pop("settings"),
+        lambda d: d["settings"].pop("objects"),
+        lambda d: d["settings"].update(extra=1),
+        lambda d: d.update(objects=99),
+        lambda d: d.update(family=["a"]),
+    ],
+)
+def test_metadata_are_what_they_promise(copy, change):
+    with h5py.File(copy / "shard-00000.nc", "r+") as file:
+        data = json.loads(file["metadata"].asstr()[0])
+        change(data)
+        file["metadata"][0] = json.dumps(data)
+    dataset = open_dataset(copy)
+    for read in (lambda: dataset[0], lambda: dataset.metadata(0)):
+        with pytest.raises(DataError, match="sample 0"):
+            read()
+
+
+@pytest.mark.parametrize(
+    "text", ["POINT (0 0)", "LINESTRING (0 0, 1 1)", "POLYGON EMPTY", "POLYGON ((0 0, 1 1, 1 0, 0 1, 0 0))",
+             "POLYGON ((0 0, 9 0, 0 1, 0 0))", "POLYGON ((0 0, 1", ""],
+)  # fmt: skip
+def test_an_outline_that_is_no_area_inside_the_grid_is_refused(copy, text):
+    with h5py.File(copy / "shard-00000.nc", "r+") as file:
+        file["outline_wkt"][0] = text
+    with pytest.raises(DataError, match=r"shard-00000\.nc: "):
+        open_dataset(copy)[0]
+
+
+def test_labelled_arrays_of_a_damaged_file_are_one_line(copy):
+    """What only xarray looks at is damaged."""
+    with h5py.File(copy / "shard-00000.nc", "r+") as file:
+        file["view"].attrs["NAME"] = h5py.Empty("S1")
+        file["position"].attrs["units"] = np.bytes_(b"\xff\xfe")
+        del file["position"].attrs["_Netcdf4Dimid"], file["position"].attrs["DIMENSION_LIST"]
+        del file["view"]
+    assert open_dataset(copy)[0].metadata["sample"] == 0
+    with pytest.raises(DataError, match=r"shard-00000\.nc: not a readable shard"):
+        open_dataset(copy).to_xarray()
 
 
 def test_a_part_of_a_dataset_can_be_used(copy):

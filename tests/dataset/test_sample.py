@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from collections import Counter
 
 import numpy as np
@@ -15,7 +16,8 @@ from campaigns import EVERY_FAMILY, of_family, tiny, write
 from mvla_sim.config.base import parse
 from mvla_sim.config.campaign import SPLITS, CampaignSettings, load_campaign
 from mvla_sim.dataset.outlines import random_polygon, smooth_outline
-from mvla_sim.dataset.sample import draw_sample, family_of, split_of, splits_of
+from mvla_sim.dataset.sample import check_room, draw_sample, family_of, split_of, splits_of
+from mvla_sim.dataset.shard import occupancy_of
 from mvla_sim.errors import ConfigError
 from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.world import Scene
@@ -164,6 +166,52 @@ def test_no_room_is_one_line_that_names_sample_and_family(tmp_path):
         draw_sample(near, 0)
 
 
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (("families.0.size_m=7", "families.0.objects=1"), "tiny: family 'boxes': no room for 1 object after 30 draws"),
+        (("families.1.objects=100", "families.1.weight=1e-9"), "tiny: family 'blobs': no room for 100 objects"),
+        (("trajectory.radius_m=1.2", "families.1.size_m=2"), "tiny: family 'blobs': no room"),
+        (("families.0.x_m=1e300",), "tiny: family 'boxes': no room"),
+    ],
+)
+def test_a_family_that_never_finds_room_is_told_at_once(tmp_path, settings, message):
+    """Also one that no sample happens to be of; what has room in part is let through."""
+    began = time.process_time()
+    with pytest.raises(ConfigError, match=message) as told:
+        check_room(tiny(tmp_path, *settings))
+    assert "\n" not in str(told.value)
+    assert time.process_time() - began < 20
+    check_room(tiny(tmp_path, "families.1.objects={choices=[1, 9]}"))
+
+
+def test_shapes_that_cannot_be_drawn_name_their_family(tmp_path):
+    family = {"name": "blunt", "shape": "star", "size_m": 1, "inner_ratio": 1 - 1e-9}
+    campaign = parse(CampaignSettings, {"name": "c", "samples": 1, "families": [family]}, "test")
+    with pytest.raises(ConfigError, match=r"^c: family 'blunt': object.*inner_radius_m = 0\.5 must be below"):
+        check_room(campaign)
+
+
+@pytest.mark.parametrize("shape", ["star", "polygon", "smooth", "square"])
+def test_the_occupancy_is_that_of_concave_outlines_and_of_several_objects(shape):
+    """Against every voxel's square and centre, one by one; inside without the contour is what the outline covers."""
+    campaign = of_family(shape, grid={"size_m": [8.0, 7.0, 0.0], "spacing_m": 0.25, "center_m": [0.5, -0.5, 0.0]})
+    grid = VoxelGrid.from_settings(campaign.grid)
+    nx, ny, _ = grid.counts
+    xs, ys, _ = grid.axes()
+    for k in range(4):
+        scene = Scene.from_settings(draw_sample(campaign, k))
+        found = occupancy_of(scene.outline, grid)
+        assert found.shape == (ny, nx)
+        for iy, ix in np.ndindex(ny, nx):
+            x, y = xs[ix], ys[iy]
+            met = shapely.box(x - 0.125, y - 0.125, x + 0.125, y + 0.125).intersects(scene.outline.boundary)
+            covered = scene.outline.intersects(shapely.Point(x, y))
+            assert found[iy, ix] == (3 if met else 1 if covered else 0), (k, ix, iy)
+        alone = [occupancy_of(area, grid) for area in shapely.get_parts(scene.outline)]
+        assert np.array_equal(np.bitwise_or.reduce(alone), found)
+
+
 def test_samples_that_do_not_exist(tmp_path):
     campaign = tiny(tmp_path)
     for draw in (draw_sample, split_of, family_of):
@@ -179,12 +227,18 @@ def test_samples_that_do_not_exist(tmp_path):
         ("sample=3", r"sample: unknown key \(did you mean 'samples'\?\)"),
         ("families.0.size_m.mx=2", r"families\[0\]\.size_m\.mx: unknown key \(did you mean 'max'\?\)"),
         ("families.0.size_m={choices=[1], weight=[2]}", r"size_m\.weight: unknown key \(did you mean 'weights'"),
-        ("families.0.size_m={choices=[1, -1]}", r"families\[0\]\.size_m: -1 is outside what is allowed: above 0"),
+        ("families.0.size_m={choices=[1, -1]}", r"families\[0\]\.size_m: -1 is outside .* allowed: at least 0\.001"),
         ("families.0.size_m={min=2, max=1}", r"families\[0\]\.size_m: min = 2 must be below max = 1"),
         ("families.0.size_m={choices=[]}", r"size_m\.choices: .*at least 1 item"),
         ("families.0.size_m={choices=[1, 2], weights=[1]}", r"weights has 1 entries for 2 choices"),
         ('families.0.size_m="large"', r"families\[0\]\.size_m = 'large': should be a valid number"),
         ("families.0.size_m=99", r"families\[0\]\.size_m is at least 99; the grid's diagonal is 7\.2"),
+        ("families.0.size_m={choices=[1, 2], weights=[0, 0]}", r"size_m\.weights\[0\] = 0.*: should be greater than 0"),
+        ("families.0.size_m={choices=[1, 2], weights=[1e308, 1e308]}", r"weights\[0\] = 1e\+308: should be less"),
+        ("families.0.weight=0", r"families\[0\]\.weight = 0: should be greater than 0"),
+        ("families.0.weight=-1", r"families\[0\]\.weight = -1: should be greater than 0"),
+        ("families.0.x_m={min=-1e308, max=1e308}", r"min = -1e\+308 and max = 1e\+308 are too far apart"),
+        ("families.0.x_m=nan", r"families\[0\]\.x_m"),
         ("families.0.objects=1.5", r"families\[0\]\.objects = 1\.5: should be a valid integer"),
         ("families.0.objects={min=0, max=2}", r"families\[0\]\.objects: 0 is outside .* at least 1"),
         ('families.0.material="gold"', r"families\[0\]\.material = 'gold': should be 'concrete'"),

@@ -78,6 +78,16 @@ def relabelled(file):
     file["metadata"][0] = json.dumps(text)
 
 
+def fewer_views(file):
+    """The first sample gives its last view to the second one."""
+    file["view_count"][0] -= 1
+    file["view_count"][1] += 1
+
+
+def other_bandwidth(file):
+    file["bandwidth"][()] = 2e9
+
+
 def resized(file):
     text = json.loads(file["metadata"].asstr()[0])
     text["settings"]["objects"][0]["height_m"] = 3.0
@@ -99,18 +109,21 @@ def test_a_changed_value_is_found_by_the_checksum(copy, change):
         (scaled("gain_real", 1.01), "% of its paths are not found again"),
         (scaled("delay", 1.001), "% of its paths are not found again"),
         (scaled("position", 1.001), "its views are not those of its scene"),
+        (fewer_views, "its views are not those of its scene"),
+        (scaled("target_extent", 2.0), "its largest extent is not that of its scene"),
+        (other_bandwidth, "bandwidth is 2e+09 Hz, must be 3e+09 Hz"),
         (emptied, "sample 4: the occupancy is not that of the outline"),
         (relabelled, "sample 4: split is"),
         (resized, "its scene is not the one that the campaign's seed gives"),
     ],
 )
 def test_a_forger_is_found_by_truth_or_by_making_samples_again(copy, change, message):
-    """All checksums fit; sample 4 is among those made again, for all of them are."""
+    """All checksums fit; sample 4 (and 5, which gets a view) is among those made again, for all of them are."""
     forge(copy, 1, change)
     report = verify(copy, recompute=10)
     assert not report.ok
     assert any(message in problem for problem in report.problems), report.problems
-    assert all("\n" not in problem and "4" in problem for problem in report.problems)
+    assert all("\n" not in problem and ("4" in problem or "5" in problem) for problem in report.problems)
 
 
 def test_missing_and_foreign_shards_are_told(copy):

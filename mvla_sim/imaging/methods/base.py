@@ -26,6 +26,8 @@ class Method:
     """Whether it looks at peaks; if it looks at nothing else, it needs one at least."""
     uses_pdp: ClassVar[bool] = False
     """Whether it looks at profiles, which ready-made components do not have."""
+    uses_amplitude: ClassVar[bool] = False
+    """Whether it looks at complex amplitudes, which profiles lose with noise that is added to their power."""
     digest: str = ""
     """SHA-256 of the code of a method from elsewhere."""
 
@@ -50,6 +52,8 @@ class SumOverViews(Method):
 
     per_view: ClassVar[bool] = True
     """Whether the sum is divided by the number of views."""
+    with_support: ClassVar[bool] = True
+    """Whether the angular support of the profiles' peaks is offered to the threshold."""
 
     def own_profiles(self, seen: Observation) -> RangeProfiles:
         """q_m of every view."""
@@ -63,4 +67,4 @@ class SumOverViews(Method):
         """Project."""
         result = seen.project(self.own_profiles(seen) if seen.made is None else seen.made)
         score = result.total / np.float32(seen.n_view) if self.per_view else result.total
-        return Estimate(score, result.support_deg)
+        return Estimate(score, result.support_deg if self.with_support else None)

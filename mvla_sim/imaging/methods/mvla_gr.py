@@ -7,17 +7,18 @@ from mvla_sim.imaging.mvla import kernel_scales, likelihood_profiles
 from mvla_sim.imaging.observation import Observation
 from mvla_sim.imaging.projection import RangeProfiles
 
-__all__ = ["METHOD"]
+__all__ = ["METHOD", "MvlaGr"]
 
 
-class _Mvla(SumOverViews):
+class MvlaGr(SumOverViews):
     """``s_n = 1/M Σ_m b_mn Σ_i w_mi φ(|p_n − T_m| − R_mi)`` (``eq:view_support_new``)."""
 
     title = "MVLA-GR"
 
     def own_profiles(self, seen: Observation) -> RangeProfiles:
+        """The kernel sum, or votes, of every view's peaks."""
         sigma, radius = kernel_scales(seen.settings.mvla, seen.resolution_m, seen.extent_m)
         return likelihood_profiles(seen.peaks, sigma, radius, seen.span_m)
 
 
-METHOD = _Mvla()
+METHOD = MvlaGr()

@@ -7,17 +7,18 @@ from mvla_sim.imaging.mvla import hard_profiles
 from mvla_sim.imaging.observation import Observation
 from mvla_sim.imaging.projection import RangeProfiles
 
-__all__ = ["METHOD"]
+__all__ = ["METHOD", "HardVote"]
 
 
-class _HardVote(SumOverViews):
+class HardVote(SumOverViews):
     """``s_n = 1/M Σ_m 1{min_i |R_mi − |p_n − T_m|| ≤ ε_R}`` (``eq:event_hard``, ``eq:hard_posterior``)."""
 
     title = "MVLA hard vote"
 
     def own_profiles(self, seen: Observation) -> RangeProfiles:
+        """The kernel sum, or votes, of every view's peaks."""
         tolerance = seen.settings.mvla.tolerance_m
         return hard_profiles(seen.peaks, seen.resolution_m if tolerance is None else tolerance, seen.span_m)
 
 
-METHOD = _HardVote()
+METHOD = HardVote()

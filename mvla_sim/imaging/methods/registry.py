@@ -28,7 +28,7 @@ from mvla_sim.errors import ConfigError, DataError, MvlaError, reason
 from mvla_sim.imaging.methods.base import Method
 from mvla_sim.imaging.observation import Estimate, Observation
 
-__all__ = ["find_method", "title_of"]
+__all__ = ["find_method", "phase_free_methods", "title_of"]
 
 Function = Callable[[Observation], Any]
 
@@ -52,6 +52,11 @@ def find_method(name: str) -> Method:
             raise ConfigError(f"method = '{name}': {file} cannot be read ({error.strerror})") from error
         return _from_file(name, file.resolve(), function, (stamp.st_mtime_ns, stamp.st_size))
     return _from_package(name)
+
+
+def phase_free_methods() -> tuple[str, ...]:
+    """Names of the package's methods that need no phase, in their usual order."""
+    return tuple(name for name in METHOD_NAMES if not find_method(name).uses_amplitude)
 
 
 def title_of(name: str) -> str:

@@ -1,0 +1,76 @@
+"""What is timed between a CIR file and range profiles."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from mvla_sim.bench.child import Job
+from mvla_sim.bench.inputs import EXTENT_M, ring
+from mvla_sim.channel.cir import INTERACTIONS, Cir
+from mvla_sim.config.imaging import imaging_settings
+from mvla_sim.constants import range_to_delay
+from mvla_sim.imaging.mvla import kernel_scales, likelihood_profiles
+from mvla_sim.imaging.noise import add_noise
+from mvla_sim.imaging.pdp import Pdp, compute_pdp
+from mvla_sim.imaging.peaks import extract_peaks
+from mvla_sim.scene.grid import VoxelGrid
+
+__all__ = ["FrontEndJob"]
+
+
+class FrontEndJob(Job):
+    """Part of the way from a CIR file to range profiles. The paths are random.
+
+    Parameters
+    ----------
+    part
+        ``pdp``: read the file and compute power delay profiles; ``peaks``: add noise to them, extract peaks, and make
+        range profiles.
+    views, paths_per_view
+        Size of the file.
+    """
+
+    def __init__(self, part: str, views: float, paths_per_view: float) -> None:
+        rng = np.random.default_rng(1)
+        seen, count = ring(views), round(paths_per_view)
+        paths = len(seen) * count
+        ranges = np.sort(rng.uniform(6, 14, (len(seen), count)), axis=1).ravel()
+        gain = 1e-6 * (rng.standard_normal(paths) + 1j * rng.standard_normal(paths))
+        cir = Cir(
+            gain=gain.astype(np.complex64),
+            delay_s=np.asarray(range_to_delay(ranges), np.float64),
+            interaction=np.full(paths, INTERACTIONS["diffuse"], np.uint8),
+            first_point_m=rng.uniform(-4, 4, (paths, 3)).astype(np.float32),
+            row_size=np.full(len(seen), count, np.int64),
+            views=seen,
+            carrier_hz=36e9,
+            bandwidth_hz=3e9,
+            extent_m=EXTENT_M,
+        )
+        self.file = Path(tempfile.mkdtemp()) / "cir.nc"
+        cir.save(self.file)
+        self.settings = imaging_settings(method="mvla-gr", snr_db=20.0)
+        self.span_m = VoxelGrid.from_settings(self.settings.grid).range_span_m(seen.positions_m)
+        self.part = part
+        self.pdp = self._profiles()
+        self.found = 0.0
+
+    def _profiles(self) -> Pdp:
+        return compute_pdp(Cir.load(self.file), self.settings.pdp, self.span_m)
+
+    def call(self, number: int) -> None:
+        """Do the part for all views."""
+        if self.part == "pdp":
+            self.pdp = self._profiles()
+            return
+        noise = self.settings.noise.model_copy(update={"seed": number})
+        peaks = extract_peaks(add_noise(self.pdp, noise), self.settings.peaks)
+        likelihood_profiles(peaks, *kernel_scales(self.settings.mvla, self.pdp.resolution_m, EXTENT_M), self.span_m)
+        self.found = peaks.range_m.size / peaks.n_view
+
+    def facts(self) -> dict[str, float]:
+        """Peaks a view."""
+        return {"peaks_per_view": self.found} if self.found else {}

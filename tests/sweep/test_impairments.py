@@ -1,0 +1,145 @@
+"""Impairments in sweeps: the same as one image at a time, and nothing else is touched."""
+
+from __future__ import annotations
+
+import pytest
+from sweep_files import experiment
+
+from mvla_sim.channel.simulate import cache_file, simulate
+from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings, imaging_settings
+from mvla_sim.config.impairments import ImpairmentSettings
+from mvla_sim.evaluation.evaluate import evaluate
+from mvla_sim.imaging.pipeline import reconstruct
+from mvla_sim.sweep.batch import Batch, prepare, run_batch
+from mvla_sim.sweep.case import case_key
+from mvla_sim.sweep.plan import expand
+from mvla_sim.sweep.run import run_experiment
+from mvla_sim.sweep.schedule import tasks_of
+from mvla_sim.sweep.store import identity
+
+CHANNEL = "c" * 32
+KEYS = {  # as they were before there were impairments
+    "b57a0b72d35f9ff9c607ab3de8249fa8af80c46f33ab83ad51a87a36251f65aa": {},
+    "64dba0e54adeacc38e2c179c9037c3db53212f2b8a46fb04ec601590fabace17": {
+        "method": "bp",
+        "snr_db": 10.0,
+        "interval_deg": 5.0,
+    },
+}
+VARIANTS = """
+[[variants]]
+label = "unimpaired"
+[[variants]]
+label = "position"
+set = { "imaging.impairments.position_error_m" = 0.03 }
+[[variants]]
+label = "timing"
+set = { "imaging.impairments.timing_offset_s" = 5e-10, "imaging.impairments.timing_jitter_s" = 2e-10 }
+[[variants]]
+label = "phase"
+set = { "imaging.impairments.random_phase" = true }
+[[variants]]
+label = "missing"
+set = { "imaging.impairments.missing_share" = 0.4 }
+[[variants]]
+label = "blocked"
+set = { "imaging.impairments.blocked_sector_deg.1" = 90.0 }
+[[variants]]
+label = "clutter"
+set = { "imaging.impairments.clutter_paths" = 4.0 }
+"""
+AXES = 'interval_deg = [20.0]\noffset = [1]\nmethod = ["mvla-gr", "bp"]\nseed = [0, 1]\n'
+SECTOR = ("imaging.impairments.blocked_sector_deg=[0.0, 0.0]",)
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_keys_of_cases_without_impairments_are_what_they_were(key):
+    settings = imaging_settings(**KEYS[key])
+    assert case_key(CHANNEL, settings, EvaluationSettings()) == key
+    idle = settings.model_copy(
+        update={"impairments": ImpairmentSettings(seed=5, clutter_db=3.0, blocked_sector_deg=(90, 90))}
+    )
+    assert case_key(CHANNEL, idle, EvaluationSettings()) == key
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"position_error_m": 0.01},
+        {"timing_offset_s": 1e-9},
+        {"timing_jitter_s": 1e-9},
+        {"random_phase": True},
+        {"missing_share": 0.1},
+        {"blocked_sector_deg": [0.0, 10.0]},
+        {"clutter_paths": 1.0},
+        {"clutter_paths": 1.0, "clutter_db": 3.0},
+        {"clutter_paths": 1.0, "seed": 3},
+    ],
+)
+def test_every_impairment_is_in_the_key(values):
+    assert case_key(CHANNEL, imaging_settings(impairments=values), EvaluationSettings()) not in KEYS
+    plain = {name: value for name, value in values.items() if name not in ("clutter_db", "seed")}
+    alike = case_key(CHANNEL, imaging_settings(impairments=plain), EvaluationSettings())
+    assert (case_key(CHANNEL, imaging_settings(impairments=values), EvaluationSettings()) == alike) == (plain == values)
+
+
+def test_a_block_at_its_defaults_is_in_no_dump_and_another_one_is():
+    """So stores, files and tables are what they were."""
+    assert "impairments" not in ImagingSettings().model_dump(mode="json")
+    assert "impairments" not in ImagingSettings().model_dump_json()
+    seeded = imaging_settings(impairments={"seed": 3})
+    assert seeded.model_dump(mode="json")["impairments"]["seed"] == 3
+    assert ImagingSettings.model_validate(seeded.model_dump()) == seeded
+
+
+def test_a_store_of_before_still_fits(tmp_path):
+    plan = expand(experiment(tmp_path))
+    assert not [name for part in identity(plan).values() for name in part if "impairments" in name]
+
+
+def test_cases_share_a_channel_unless_its_impairments_differ(tmp_path):
+    plan = expand(experiment(tmp_path, AXES, VARIANTS, SECTOR))
+    tasks = tasks_of(plan, plan.cases, 1)
+    assert sorted(case.number for task in tasks for case in task.cases) == list(range(28))
+    shared = [task for task in tasks if task.key[3] is None]
+    assert [len(task.cases) for task in shared] == [12]  # unimpaired, missing, blocked
+    assert len(tasks) == 1 + 4 * 2  # and each other one, once a seed
+    offset = expand(experiment(tmp_path, AXES, overrides=("imaging.impairments.timing_offset_s=1e-9",)))
+    assert len(tasks_of(offset, offset.cases, 1)) == 1  # which draws nothing
+
+
+def test_a_sweep_gives_exactly_what_one_image_at_a_time_gives(tmp_path):
+    settings = experiment(tmp_path, AXES, VARIANTS, SECTOR)
+    table = run_experiment(settings, tmp_path / "out", workers=0)
+    plan = expand(settings)
+    cir = simulate(next(iter(plan.scenes.values())))
+    assert list(table["status"]) == ["done"] * 28
+    for case, row in zip(plan.cases, table.to_dict("records"), strict=True):
+        image = reconstruct(cir, case.imaging)
+        assert row["views"] == image.n_view
+        alone = evaluate(image, case.evaluation).as_dict()
+        assert {name: row[name] for name in alone} == alone
+    views = table.groupby("variant")["views"].first()
+    assert (views["unimpaired"], views["missing"], views["blocked"]) == (18, 11, 14)  # 10°, 30°, 50° and 70° of 18
+    scores = table[table["method"] == "mvla-gr"].groupby("variant")["cd_db"].mean()
+    assert scores["phase"] == pytest.approx(scores["unimpaired"], abs=0.1)
+
+
+def test_the_prepared_channel_knows_both_kinds_of_positions(tmp_path):
+    plan = expand(experiment(tmp_path, 'seed = [0]\n"imaging.impairments.position_error_m" = [0.0, 0.05]\n'))
+    for task in tasks_of(plan, plan.cases, 1):
+        simulate(task.scene)
+        channel = prepare(cache_file(task.scene), *task.key[1:])
+        moved = abs(channel.views.positions_m - channel.nominal_views.positions_m).max() > 0
+        assert moved == (task.cases[0].imaging.impairments.position_error_m > 0)
+        assert [row.status for row in run_batch(Batch(channel, task.cases))] == ["done"]
+
+
+def test_cases_without_a_view_fail_in_one_line_and_the_others_go_on(tmp_path):
+    axes = 'method = ["mvla-gr"]\n"imaging.impairments.missing_share" = [1.0, 0.5]\n'
+    axes += '"imaging.impairments.timing_offset_s" = [0.0, -1e-6]\n'
+    table = run_experiment(experiment(tmp_path, axes), tmp_path / "out", workers=0)
+    assert list(table["status"]) == ["failed", "failed", "done", "failed"]
+    assert "none of the 36 chosen views is left" in table["error"][0]
+    assert "none may be below 0" in table["error"][3]
+    assert not table["error"].str.contains("\n").any()
