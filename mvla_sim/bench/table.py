@@ -90,7 +90,8 @@ def cost_lines(costs: Costs) -> list[str]:
         f"a path: {costs.memory_bytes_per_path:.0f} bytes in memory, {costs.disk_bytes_per_path:.1f} in a CIR file",
         f"two workers: {100 * costs.efficiency:.0f} % of the speed of one each",
         f"handing out a task: {1e3 * costs.handing_out_s:.1f} ms of the coordinator",
-        f"a case beyond peaks, projection and search: {1e3 * costs.rest_s:.1f} ms",
+        f"a case of the sweep: {_seconds(costs.case_s)} of a core; noise, peaks, projection and search on their own "
+        f"make {_seconds(costs.parts_s)}",
         f"a traced view: {_seconds(costs.trace.per_unit)}; where every kernel is known "
         f"{_seconds(costs.trace_known.per_unit)}",
     ]

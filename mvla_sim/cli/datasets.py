@@ -7,12 +7,13 @@ from typing import Annotated, Any
 
 import typer
 
-from mvla_sim.cli.options import Overrides, Scheduler, Workers, errors, note, out
+from mvla_sim.cli.options import CacheUrl, Overrides, Scheduler, errors, note, out
 
 __all__ = ["dataset_app"]
 
 dataset_app = typer.Typer(help="Build, check, export and score benchmark datasets.")
 
+FewWorkers = Annotated[int, typer.Option(min=0, help="Worker processes; by default everything runs in this one.")]
 DatasetFolder = Annotated[Path, typer.Argument(metavar="DIR", help="A dataset's directory.")]
 
 
@@ -21,10 +22,9 @@ def dataset_build(
     campaign: Annotated[Path, typer.Argument(help="A campaign file (TOML), as experiments/benchmark-small.toml.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Directory of the dataset.")],
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say how many samples, bytes and hours; stop.")] = False,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes; by default everything runs in this process.")
-    ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler to use instead.")] = None,
+    workers: FewWorkers = 0,
+    scheduler: Scheduler = None,
+    cache_url: CacheUrl = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try failed samples again.")] = False,
     overrides: Overrides = None,
 ) -> None:
@@ -34,8 +34,9 @@ def dataset_build(
     """
     from mvla_sim.cli.dataset import build
 
-    options: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "retry_failed": retry_failed}
-    raise typer.Exit(build(campaign, output, overrides or [], out, errors, dry_run=dry_run, **options))
+    places: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "cache_url": cache_url}
+    code = build(campaign, output, overrides or [], out, errors, dry_run=dry_run, retry_failed=retry_failed, **places)
+    raise typer.Exit(code)
 
 
 @dataset_app.command(name="verify")
@@ -74,7 +75,7 @@ def dataset_score(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder of the results; default DIR/scores.")
     ] = None,
-    workers: Workers = 0,
+    workers: FewWorkers = 0,
     scheduler: Scheduler = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Compute again what is there.")] = False,
     overrides: Overrides = None,
@@ -91,6 +92,6 @@ def dataset_score(
     raise typer.Exit(code)
 
 
-def _workers(workers: int | None, scheduler: str | None) -> int | None:
+def _workers(workers: int, scheduler: str | None) -> int | None:
     """By default no other process; none are asked for where there is a scheduler."""
     return None if scheduler is not None and workers == 0 else workers

@@ -15,6 +15,8 @@ from mvla_sim.channel.simulate import simulate
 from mvla_sim.cli.pictures import draw_waterfall, truth_of
 from mvla_sim.config.imaging import imaging_settings
 from mvla_sim.errors import DataError
+from mvla_sim.files import atomic_output
+from mvla_sim.report.ablation import LADDER, ablation_table, markdown, plot_ablation
 from mvla_sim.report.figures import plot_comparison, plot_curves, plot_image, plot_scene
 from mvla_sim.report.robustness import plot_robustness
 from mvla_sim.report.style import save_figure
@@ -70,6 +72,7 @@ def execute(plan: Plan, folder: Path, out: Console, errors: Console, *, cluster:
         *_draw_shown(plan, folder),
         *_draw_curve(plan, result.table, folder),
         *_draw_robustness(plan, result.table, folder),
+        *_draw_ablation(plan, result.table, folder),
     ]
     _print(result.table, plan, out)
     for file in result.files:
@@ -125,6 +128,20 @@ def _draw_channel(plan: Plan, channel: str, folder: Path) -> list[Path]:
     pictures.append(folder / f"{scene.name}-waterfall.png")
     draw_waterfall(simulate(scene), pictures[-1], imaging_settings(snr_db=imaging.noise.snr_db))
     return pictures
+
+
+def _draw_ablation(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
+    """Draw the ladder and write its table, where an experiment has all its rungs and more than one interval."""
+    if not set(LADDER) <= set(plan.experiment.axes.get("method", ())) or "interval_deg" not in plan.experiment.axes:
+        return []
+    with contextlib.suppress(DataError):  # no case is finished
+        files = [folder / "ablation.md", folder / "ablation.png", folder / "ablation.pdf"]
+        with atomic_output(files[0]) as temporary:
+            temporary.write_text(markdown(ablation_table(table)), encoding="utf-8")
+        for file in files[1:]:
+            save_figure(plot_ablation(table), file)
+        return files
+    return []
 
 
 def _draw_robustness(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:

@@ -13,7 +13,7 @@ from mvla_sim.errors import DataError
 from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.report.style import COLORS, DOUBLE_COLUMN_IN, figure_style, new_figure
 
-__all__ = ["ablation_table", "fair_table", "markdown", "plot_ablation"]
+__all__ = ["LADDER", "ablation_table", "fair_table", "markdown", "plot_ablation"]
 
 LADDER: Final = ("hard-vote", "soft-kernel", "power-weights", "mvla-gr")
 BESIDE: Final = ("bp", "bp-peaks", "bp-normalised", "bp-gated")
@@ -115,7 +115,9 @@ def fair_table(tables: dict[str, pd.DataFrame], scene: str = "star", least_inter
     result = pd.DataFrame(index=found.index)
     for column in map(str, found.columns):
         result[column] = found[column]
-        result[f"{column} rank"] = found[column].rank(ascending=not column.startswith("ap_")).astype("Int64")
+        result[f"{column} rank"] = (
+            found[column].rank(method="min", ascending=not column.startswith("ap_")).astype("Int64")
+        )
     if empty is not None:
         result["empty"] = empty.reindex(result.index)
     ordered: pd.DataFrame = result.sort_values(list(tables)[-1])

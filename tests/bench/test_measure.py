@@ -90,9 +90,10 @@ def test_ctrl_c_leaves_neither_child_nor_file(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_child_ends_with_its_parent():
+def test_a_child_ends_with_its_parent(tmp_path):
     program = "from mvla_sim.bench.measure import *; measure(Work('children:Hold', {}, repeats=10**9, budget_s=1e9))"
-    parent = subprocess.Popen([sys.executable, "-c", program], start_new_session=True)
+    environment = os.environ | {"TMPDIR": str(tmp_path)}  # a parent that is killed leaves its folder
+    parent = subprocess.Popen([sys.executable, "-c", program], env=environment, start_new_session=True)
     deadline = time.monotonic() + 60
     while not (children := psutil.Process(parent.pid).children()) and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -151,6 +151,29 @@ def test_calibrated_keys_follow_the_thresholds(tmp_path):
     assert keys[0].isdisjoint(keys[1])
 
 
+HELD_OUT = CALIBRATION + 'over = ["interval_deg", "offset", "seed", "scene"]\n'
+
+
+def test_held_out_thresholds_are_those_of_the_scenes_named(tmp_path):
+    """The other experiment gets a second scene with p one higher; each alone, and both, have the averages by hand."""
+    source(tmp_path)
+    table = load_table(tmp_path / "results" / "first")
+    other = table.assign(scene="star", top_percent=table["top_percent"] + 1, key="other-" + table["key"])
+    write_table(pd.concat([table, other]), tmp_path / "results" / "first")
+    for scenes, more in (("", 0.5), ('scenes = ["box"]\n', 0.0), ('scenes = ["star"]\n', 1.0)):
+        plan = expand(experiment(tmp_path, SECOND, HELD_OUT + scenes), tmp_path / "results" / "second")
+        for case in plan.cases:
+            expected = 1 + (case.values["method"] != "bp") + (case.values["snr_db"] or 0.0) + more
+            assert case.evaluation.threshold.top_percent == pytest.approx(expected)
+
+
+def test_held_out_scenes_must_be_there(tmp_path):
+    source(tmp_path)
+    settings = experiment(tmp_path, SECOND, HELD_OUT + 'scenes = ["moon"]\n')
+    with pytest.raises(DataError, match="has no scene 'moon'; allowed: box"):
+        expand(settings, tmp_path / "results" / "second")
+
+
 def test_calibration_without_its_table_is_one_line(tmp_path):
     settings = experiment(tmp_path, SECOND, CALIBRATION)
     with pytest.raises(DataError, match=r"first/table\.csv: no such table .* run the experiment first"):
@@ -186,6 +209,7 @@ def test_calibration_with_given_thresholds_is_refused(tmp_path):
         (SECOND, CALIBRATION + 'over = ["intervall"]\n', "'intervall' names no setting"),
         (SECOND, CALIBRATION + "over = []\n", "calibration.over"),
         (SECOND, '[calibration]\nfrom = "../first"\n', "calibration.from"),
+        (SECOND, CALIBRATION + 'scenes = ["star"]\n', "scenes: needs 'scene' in over"),
     ],
 )
 def test_a_calibration_that_cannot_be_is_refused(tmp_path, axes, more, said):
