@@ -14,6 +14,7 @@ import contextlib
 import hashlib
 import io
 import json
+import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -178,8 +179,12 @@ def _made_or_failed(campaign: CampaignSettings, number: int) -> Made | Failure:
 @contextlib.contextmanager
 def _hushed(description: str, samples: int) -> Iterator[Advance]:
     """Within the block the tracer's reports go below the bar that this process shows; where there is none, nowhere."""
-    lines, bar = Console(file=io.StringIO()), Console(file=io.StringIO(), force_terminal=True, quiet=True)
-    with progress(description, samples, "samples", lines), progress(description, samples, "samples", bar) as advance:
+    nothing = io.StringIO()
+    with contextlib.ExitStack() as stack:
+        advance = stack.enter_context(progress(description, samples, "samples", Console(file=nothing)))
+        if sys.stderr.isatty():  # of a worker beside the process that shows the build's own bar
+            bar = Console(file=nothing, force_terminal=True, quiet=True)
+            advance = stack.enter_context(progress(description, samples, "samples", bar))
         yield advance
 
 
