@@ -82,6 +82,8 @@ class Costs:
         The first scene of a process beyond a usual one.
     most_views
         The largest number of views that was traced.
+    disturbed, points
+        Points at which other programs were in the way, of how many.
     """
 
     trace: Affine
@@ -108,6 +110,8 @@ class Costs:
     loaded_bytes: float
     compile_s: float
     most_views: float
+    disturbed: int
+    points: int
 
     @property
     def rest_s(self) -> float:
@@ -240,6 +244,8 @@ def costs_from(rows: Sequence[Row]) -> Costs:
         loaded_bytes=typical.measured.loaded_bytes,
         compile_s=max(0.0, min(row.measured.first_s - row.measured.median_s for row in star)),
         most_views=typical.size["views"],
+        disturbed=sum(row.disturbed for row in rows),
+        points=len(rows),
     )
 
 
@@ -286,7 +292,16 @@ def estimate(costs: Costs, campaign: Campaign | None = None) -> Estimate:
 
 
 def _assumptions(costs: Costs, campaign: Campaign) -> tuple[str, ...]:
+    quiet = (
+        ()
+        if not costs.disturbed
+        else (
+            f"Other programs were running at {costs.disturbed} of {costs.points} points, so all seconds are too high "
+            "by an unknown factor, and the stage that bounds may be another on a quiet machine.",
+        )
+    )
     return (
+        *quiet,
         "Every scene is like the paper's star: 26,000 rays a view, one interaction, "
         f"{costs.paths_per_view:.0f} paths a view; rays, depth and facets change that as their tables say.",
         f"Every scene is traced once and imaged once, with MVLA-GR on {campaign.voxels:,} voxels and all "

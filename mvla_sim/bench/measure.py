@@ -71,7 +71,8 @@ class Measured:
     median_s
         Median of the counted calls, seconds on the clock.
     core_s
-        The least time that cores worked in a counted call, seconds; other programs hardly add to it.
+        The least time that cores worked in a counted call, seconds. Waiting for other programs is not in it, but what
+        they slow down in shared caches and memory is.
     repeats
         Number of counted calls.
     memory_bytes

@@ -125,6 +125,14 @@ def test_workers_that_help_each_other_are_not_believed():
     assert costs_from(rows).efficiency == 1
 
 
+def test_a_machine_that_was_not_quiet_is_told_of():
+    rows = measured_rows()
+    assert not any("Other programs" in text for text in estimate(costs_from(rows)).assumptions)
+    slow = dataclasses.replace(rows[0].measured, median_s=10 * rows[0].measured.core_s)
+    rows[0] = dataclasses.replace(rows[0], measured=slow)
+    assert f"at 1 of {len(rows)} points" in estimate(costs_from(rows)).assumptions[0]
+
+
 def test_all_stages_are_needed():
     with pytest.raises(DataError, match=r"^no estimate without the measured points of search, sweep$"):
         costs_from(measured_rows(("tracing", "projection")))
