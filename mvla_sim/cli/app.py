@@ -234,10 +234,10 @@ def run_experiment(
     settings = load_experiment(experiment, overrides or [])
     folder = output or Path("results") / settings.name
     plan = expand(settings, folder, None if yes else CASE_LIMIT)
-    if dry_run:
-        show_plan(plan, folder, core_count() if workers is None else max(1, workers), out)
-        return
     with shared_cache(cache_url), open_cluster(workers, scheduler, note) as cluster:
+        if dry_run:  # no worker starts before it is needed
+            show_plan(plan, folder, core_count() if workers is None else max(1, workers), out)
+            return
         code = execute(plan, folder, out, errors, cluster=cluster, fresh=fresh)
     raise typer.Exit(code)
 

@@ -55,6 +55,8 @@ def build(
             lambda text: errors.print(f"mvla: {text}", markup=False),
         ) as cluster,
     ):
+        if cluster.remote:
+            cluster.start()  # before the directory is made
         result = build_dataset(campaign, folder, cluster=cluster, retry_failed=retry_failed)
     for note in result.notes:
         errors.print(f"mvla: note: {note}", markup=False)

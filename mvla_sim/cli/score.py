@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ def score(
     results = score_dataset(folder, methods, overrides, label=label, output=output, cluster=cluster, fresh=fresh)
     test = open_dataset(folder, "test")
     table = build_leaderboard(results)
-    out.print(_shown(table, f"{test.campaign.name}: {len(test)} test scenes"))
+    out.print(_shown(table, f"{test.campaign.name}: {len(test)} test scene{'s' * (len(test) > 1)}"))
     for file in write_leaderboard(table, test, output or folder / SCORES):
         out.print(f"wrote:    {file}", markup=False)
     failed = 0
@@ -64,4 +65,6 @@ def _shown(table: pd.DataFrame, title: str) -> Table:
 
 
 def _range(row: Mapping[Any, Any], name: str, digits: int) -> str:
+    if math.isnan(row[f"{name}_lo"]):
+        return f"{row[name]:.{digits}f}"
     return f"{row[name]:.{digits}f} [{row[f'{name}_lo']:.{digits}f}, {row[f'{name}_hi']:.{digits}f}]"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -47,6 +48,7 @@ def build_leaderboard(results: Sequence[Result]) -> pd.DataFrame:
     -----
     Intervals are those of the percentile bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap, 1993,
     ch. 13): samples are drawn with replacement 10,000 times, the same draws for all methods, so differences are paired.
+    One sample alone has no interval: its ends are NaN.
 
     Raises
     ------
@@ -88,9 +90,9 @@ def leaderboard_text(table: pd.DataFrame, dataset: BenchmarkDataset) -> str:
     lines = [
         f"# {dataset.campaign.name}: leaderboard",
         "",
-        f"{len(dataset)} test scenes, protocol {PROTOCOL}: all views, SNR {SNR_DB:g} dB, one pair of thresholds a "
-        f"method, chosen on the validation split. Means over the scenes with {100 * CONFIDENCE:g} % bootstrap "
-        "intervals; the distance to the first is paired, scene by scene.",
+        f"{len(dataset)} test scene{'s' * (len(dataset) > 1)}, protocol {PROTOCOL}: all views, SNR {SNR_DB:g} dB, one pair "
+        "of thresholds a method, chosen on the validation split. Means over the scenes with "
+        f"{100 * CONFIDENCE:g} % bootstrap intervals; the distance to the first is paired, scene by scene.",
         "",
         "| | method | CD dB(m²) | behind the first, dB | F1 at 5 cm | F1 at 10 cm | p % | T_θ ° | empty | s an image |",
         "|--:|---|--:|--:|--:|--:|--:|--:|--:|--:|",
@@ -128,6 +130,8 @@ def _column(result: Result, name: str) -> Floats:
 def _interval(values: Floats) -> tuple[Floats, Floats]:
     """Ends of the bootstrap interval of the mean over the last axis."""
     count = values.shape[-1]
+    if count == 1:  # one scene says nothing of others
+        return np.full(values.shape[:-1], np.nan), np.full(values.shape[:-1], np.nan)
     random = np.random.default_rng(SEED)
     means = []
     step = max(1, BLOCK // (count * values[..., 0].size))
@@ -140,5 +144,7 @@ def _interval(values: Floats) -> tuple[Floats, Floats]:
 
 
 def _range(row: Mapping[Any, Any], name: str, digits: int) -> str:
+    if math.isnan(row[f"{name}_lo"]):
+        return f"{row[name]:.{digits}f}".replace("-", "\N{MINUS SIGN}")
     low, high = row[f"{name}_lo"], row[f"{name}_hi"]
     return f"{row[name]:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]".replace("-", "\N{MINUS SIGN}")

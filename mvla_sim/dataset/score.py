@@ -125,6 +125,7 @@ def score_dataset(
         for split in (validation, test):
             if not len(split):
                 raise DataError(f"{folder}: the {split.split} split has no samples, so nothing can be scored")
+        _check_whole(test)
         entries = plan_entries(validation, methods or phase_free_methods(), overrides, label)
         stored = {} if fresh else {result.label: result.identity for result in load_results(test, place)}
         missing = [entry for entry in entries if stored.get(entry.label) != _identity(entry, test)]
@@ -135,6 +136,15 @@ def score_dataset(
             for result in _run(missing, validation, test, cluster or InProcess()):
                 _save(place, result, _dataset_digest(test))
         return load_results(test, place)
+
+
+def _check_whole(dataset: BenchmarkDataset) -> None:
+    """Refuse a dataset whose shards are missing or have another size than the index says."""
+    for number, entry in sorted(dataset.index.shards.items()):
+        file = dataset.index.file(number)
+        size = file.stat().st_size if file.is_file() else 0
+        if size != entry.bytes:
+            raise DataError(f"{file}: has {size} bytes, the index says {entry.bytes}; build or download it again")
 
 
 def plan_entries(

@@ -6,6 +6,7 @@ All three take the same tasks and give the same results, so that callers need no
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
@@ -19,6 +20,8 @@ __all__ = ["WORKER_DIED", "Cluster", "Finished", "InProcess", "Shared", "open_cl
 
 WORKER_DIED: Final = "worker died"
 """The error of a task whose worker died three times."""
+
+ADDRESS: Final = re.compile(r"([a-z]+://)?[^\s/:]+:\d{1,5}|([a-z]+://)?\[[0-9a-fA-F:]+\]:\d{1,5}|wss?://\S+")
 
 Task = tuple[Any, ...]
 """Arguments of one call; a :class:`Shared` among them is replaced with its value."""
@@ -164,12 +167,14 @@ def open_cluster(
     Raises
     ------
     ConfigError
-        Both are given, or ``workers`` is negative.
+        Both are given, ``workers`` is negative, or the address is none.
     """
     if scheduler is not None and workers is not None:
         raise ConfigError(f"--workers {workers} and --scheduler {scheduler}: give one of them")
     if workers is not None and workers < 0:
         raise ConfigError(f"workers = {workers}; at least 0")
+    if scheduler is not None and not ADDRESS.fullmatch(scheduler):
+        raise ConfigError(f"--scheduler {scheduler}: must be an address with a port, as tcp://10.0.0.1:8786")
     if workers == 0:
         yield InProcess()
         return

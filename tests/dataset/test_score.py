@@ -210,9 +210,11 @@ def test_differences_are_paired():
     assert table["behind_db_hi"][1] == pytest.approx(1)
 
 
-def test_one_test_scene_has_an_interval_of_no_width():
+def test_one_test_scene_has_no_interval():
     row = build_leaderboard([result_of("one", [-4.0])]).iloc[0]
-    assert row["cd_db_lo"] == row["cd_db"] == row["cd_db_hi"] == -4.0
+    assert row["cd_db"] == -4.0
+    assert np.isnan(row["cd_db_lo"])
+    assert np.isnan(row["cd_db_hi"])
 
 
 @pytest.mark.parametrize(
@@ -226,6 +228,7 @@ def test_one_test_scene_has_an_interval_of_no_width():
         (["--label", "mine"], "names one method, "),
         (["--method", "bp", "--label", "a/b\n"], "allowed: up to 60 letters"),
         (["--scheduler", "tcp://127.0.0.1:1", "--workers", "2"], "give one of them"),
+        (["--scheduler", "nonsense"], "must be an address with a port"),
     ],
 )
 def test_bad_input_is_one_line_before_work(dataset, arguments, message, capsys, monkeypatch):
@@ -235,6 +238,14 @@ def test_bad_input_is_one_line_before_work(dataset, arguments, message, capsys, 
     assert message in error
     assert "\n" not in error
     assert not (dataset / "scores").exists()
+
+
+def test_a_truncated_shard_is_refused_also_where_results_are_kept(dataset, method, capsys):
+    score_dataset(dataset, [method])
+    shard = sorted(dataset.glob("*.nc"))[-1]
+    shard.write_bytes(shard.read_bytes()[:-100])
+    assert run(["dataset", "score", str(dataset), "--method", method]) == 2
+    assert f"{shard.name}: has " in capsys.readouterr().err
 
 
 def test_a_dataset_without_validation_cannot_be_scored(tmp_path, fake, capsys):

@@ -80,7 +80,7 @@ class _Function(Method):
             found = self.function(seen)
         except MvlaError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # a method must not end the program, or its other samples
             frame = traceback.extract_tb(error.__traceback__)[-1]
             raise DataError(
                 f"method {self.name}: {reason(error)} ({Path(frame.filename).name}, line {frame.lineno})"
@@ -125,7 +125,7 @@ def _from_file(name: str, file: Path, function: str, stamp: tuple[int, int]) -> 
     sys.modules[module_name] = module  # dataclasses and pickle look there
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[module_name]
         raise ConfigError(f"method = '{name}': {file.name} cannot be imported ({reason(error)})") from error
     return _Function(name, _callable(name, module, function), digest)
