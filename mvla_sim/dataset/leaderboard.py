@@ -90,8 +90,8 @@ def leaderboard_text(table: pd.DataFrame, dataset: BenchmarkDataset) -> str:
     lines = [
         f"# {dataset.campaign.name}: leaderboard",
         "",
-        f"{len(dataset)} test scene{'s' * (len(dataset) > 1)}, protocol {PROTOCOL}: all views, SNR {SNR_DB:g} dB, one pair "
-        "of thresholds a method, chosen on the validation split. Means over the scenes with "
+        f"{len(dataset)} test scene{'s' * (len(dataset) > 1)}, protocol {PROTOCOL}: all views, SNR {SNR_DB:g} dB, "
+        "one pair of thresholds a method, chosen on the validation split. Means over the scenes with "
         f"{100 * CONFIDENCE:g} % bootstrap intervals; the distance to the first is paired, scene by scene.",
         "",
         "| | method | CD dB(m²) | behind the first, dB | F1 at 5 cm | F1 at 10 cm | p % | T_θ ° | empty | s an image |",
