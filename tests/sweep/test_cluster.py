@@ -205,7 +205,9 @@ def test_bad_choices_are_one_line():
         pass
     with pytest.raises(ConfigError, match=r"cache URL nowhere://x: cannot be used"), shared_cache("nowhere://x"):
         pass
-    with open_cluster(None, "nonsense://x") as cluster, pytest.raises(RuntimeUnfitError, match="no Dask scheduler"):
+    with pytest.raises(ConfigError, match="must be an address with a port"), open_cluster(None, "nonsense://x"):
+        pass
+    with open_cluster(None, "nonsense://x:1") as cluster, pytest.raises(RuntimeUnfitError, match="no Dask scheduler"):
         cluster.start()
 
 
