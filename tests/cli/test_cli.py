@@ -119,6 +119,22 @@ def test_scores(work):
     assert "cd_db" in mvla("evaluate", "bp.nc", folder=work)
 
 
+def test_automatic_thresholds_need_no_truth(work):
+    """The binary image that is stored is that of the thresholds that ``evaluate`` finds again, and no oracle's."""
+    mvla("image", "cir.nc", "--snr", "20", *GRID, "--threshold", "auto", "-o", "auto.nc", folder=work)
+    row = json.loads(mvla("evaluate", "auto.nc", "--threshold", "auto", "--json", folder=work))
+    assert row["protocol"] == "auto"
+    with h5py.File(work / "auto.nc") as file:
+        assert file["occupied"][:].sum() == row["n_reconstruction"]
+    assert row["n_reconstruction"] > 0
+    assert row["cd_db"] >= row["optimal_cd_db"]
+    both = mvla("evaluate", "auto.nc", "--threshold", "auto", "--top-percent", "5", folder=work, code=2)
+    assert "give one of them" in both
+    assert "should be 'auto'" in mvla("evaluate", "auto.nc", "--threshold", "otto", folder=work, code=2)
+    assert "otto" in mvla("image", "cir.nc", "--threshold", "otto", "-o", "otto.nc", folder=work, code=2)
+    assert not (work / "otto.nc").exists()
+
+
 def test_results_carry_their_settings(work):
     with h5py.File(work / "bp.nc") as file:
         config = json.loads(file.attrs["config"])

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+from pathlib import Path
 
 import clusters
 import pytest
 from campaigns import digests, fake_simulate, tiny
+from existing_cluster import Existing
 
 from mvla_sim.dataset import build as module
 from mvla_sim.dataset.build import build_dataset
@@ -38,7 +40,7 @@ def formula(monkeypatch):
 
 @pytest.fixture
 def existing(tmp_path):
-    cluster = clusters.Existing(tmp_path)
+    cluster = Existing(tmp_path, Path(__file__).parent)
     yield cluster
     cluster.end()
     cluster.log.close()

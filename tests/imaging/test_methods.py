@@ -89,7 +89,7 @@ def test_an_entry_point_is_a_method(tmp_path, monkeypatch):
         ("def image(seen): return seen.range_m(0) * float('nan')", "", "values of its score are not finite"),
         ("def image(seen): return 'black'", "", "its score is str, not an array"),
         ("def image(seen): return None", "", "score"),
-        ("import sys\ndef image(seen): sys.exit(0)", "", r"SystemExit: 0 \(mvla|SystemExit: 0 \(mine.py, line 2\)"),
+        ("import sys\ndef image(seen): sys.exit(0)", "", r"SystemExit: 0 \(mine.py, line 2\)"),
         ("def image(seen): return seen.range_m(0), -seen.range_m(0)", "", "angular support has a value of -"),
     ],
 )

@@ -114,6 +114,21 @@ def test_an_experiment_shows_what_it_is_asked_to(tmp_path, cases):
     assert (tmp_path / "out" / "box-scene.png").stat().st_size > 1000
 
 
+LADDER = """
+interval_deg = [30.0, 60.0]
+method = ["hard-vote", "soft-kernel", "power-weights", "mvla-gr"]
+"imaging.impairments.position_error_m" = [0.001, 0.1]
+"""
+
+
+def test_a_ladder_and_swept_impairments_are_drawn(tmp_path):
+    """Without being asked: the table and figure of an ablation, a figure a scene of what was impaired."""
+    mvla("run", write(tmp_path, LADDER), "-o", tmp_path / "out")
+    for name in ("ablation.png", "box-robustness.png"):
+        assert (tmp_path / "out" / name).stat().st_size > 1000
+    assert "| Power weights |" in (tmp_path / "out" / "ablation.md").read_text(encoding="utf-8")
+
+
 MANY = f"""
 interval_deg = [20.0, 30.0]
 offset = "all"
