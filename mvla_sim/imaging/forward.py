@@ -87,7 +87,7 @@ class RangeOperator:
         return forward_kernel.fold(rows, weight, self.node_count, **cut)
 
     def project(self, profiles: Any) -> Any:
-        """Sᵀ q of profiles ``[M·n_range + 1]`` on the device, the last a spare; flat ``[N]`` float32, evaluated."""
+        """Sᵀ q of profiles ``[M·n_range]`` on the device; flat ``[N]`` float32, evaluated."""
         import drjit as dr  # noqa: PLC0415 - only after the backend has chosen its library
 
         from mvla_sim.imaging import kernels  # noqa: PLC0415 - compiles: only where something is projected

@@ -59,8 +59,9 @@ class Tables:
     ----------
     view
         Four numbers a view: x, y, z in metres and the angle to the view before it in degrees.
-    values, distance
-        Flattened profiles [n_view·n_range (+ 1 pad)]; ``distance`` is None where no support is asked for.
+    values, nearest
+        Flattened profiles [n_view·n_range], and the range of each cell's nearest peak; ``nearest`` is None
+        where no support is asked for.
     receiver
         Four numbers a view, x, y, z and nothing; None where receivers stand at their transmitters.
     beam
@@ -68,14 +69,17 @@ class Tables:
     ends
         1 where a view is the last of those that share its angle, else 0; None where all angles differ and there is no
         beam.
+    gated
+        Whether a view adds only to what it supports.
     """
 
     view: Any
     values: Any
-    distance: Any | None
+    nearest: Any | None
     receiver: Any | None = None
     beam: BeamTables | None = None
     ends: Any | None = None
+    gated: bool = True
 
 
 @dr.syntax
@@ -92,7 +96,7 @@ def project_block(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0915, PLR
     """Sum profiles, and follow runs of supporting views, for ``lanes·per_lane`` voxels from flat index ``start`` on.
 
     Lane k handles voxels start + k, start + lanes + k, … Returns a dictionary of lists, one entry a voxel of a lane:
-    ``total``, the sums; with a beam ``coverage``, how many views see the voxel; with a distance table
+    ``total``, the sums; with a beam ``coverage``, how many views see the voxel; with ranges of peaks
 
     * ``longest``: the longest run's width;
     * ``run``, ``first``: widths of the run that is open at the last view and of that which began at the first
@@ -116,10 +120,10 @@ def project_block(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0915, PLR
         x.append(dr.fma(t.Float32(index % nx), spacing, x0))
         y.append(dr.fma(t.Float32(row % ny), spacing, y0))
         z.append(dr.fma(t.Float32(row // ny), spacing, z0))
-    view_table, value_table, distance_table = tables.view, tables.values, tables.distance
-    receiver_table, ends = tables.receiver, tables.ends
+    view_table, value_table, nearest_table = tables.view, tables.values, tables.nearest
+    receiver_table, ends, gated = tables.receiver, tables.ends, tables.gated
     covers = functools.partial(_covered, t, tables.beam)  # what a loop captures so is no part of its state
-    with_support = distance_table is not None
+    with_support = nearest_table is not None
     paired, with_beam = receiver_table is not None, tables.beam is not None
     follow = _follow_views if ends is None else _follow_directions
     total = [dr.zeros(t.Float32, lanes) for _ in range(per_lane)]
@@ -158,10 +162,9 @@ def project_block(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0915, PLR
                 coverage[u] += dr.select(covered, 1.0, 0.0)
                 inside &= covered
             if dr.hint(with_support, mode="scalar"):
-                d0 = dr.gather(t.Float32, distance_table, place)
-                d1 = dr.gather(t.Float32, distance_table, place + 1)
-                supported = inside & (dr.fma(share, d1 - d0, d0) <= radius)
-                total[u] += dr.select(supported, q, 0.0)
+                peak = dr.gather(t.Float32, nearest_table, place)
+                supported = inside & (dr.abs(r - peak) <= radius)
+                total[u] += dr.select(supported if gated else inside, q, 0.0)
                 end = dr.gather(t.Float32, ends, m) > 0.0 if ends is not None else None
                 runs[u] = follow(runs[u], supported, covered, view.w, end)
             else:

@@ -45,7 +45,7 @@ def likelihood_profiles(
     span_m: tuple[float, float],
     weight: NDArray[np.float64] | None = None,
 ) -> RangeProfiles:
-    """Profiles of MVLA-GR: q_m(r) = Σ_i w_mi φ(r − R_mi) (``eq:view_support_new``), and the nearest peak's distance.
+    """Profiles of MVLA-GR: q_m(r) = Σ_i w_mi φ(r − R_mi) (``eq:view_support_new``), and the nearest peak.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def likelihood_profiles(
     -------
     RangeProfiles
         The projector adds q only where the nearest peak is within R_T. That makes the support indicator b_mn, and the
-        outer edge of the truncated kernel, exact to float32, save midway between peaks 2·R_T apart to within a node;
+        outer edge of the truncated kernel, exact to float32, save midway between peaks 2·R_T apart to within half a node;
         so q itself is continued by one node beyond R_T. Only
         where kernels of two peaks overlap *and* R_T is so short (below about 3.7 σ_R) that the truncated kernel jumps,
         the inner edge is resolved to two nodes.
@@ -117,13 +117,12 @@ def _axis(span_m: tuple[float, float], step: float, n_view: int) -> tuple[float,
 
 
 def nearest_peak(peaks: Peaks, start: float, step: float, count: int) -> NDArray[np.float32]:
-    """Distance from each node to the nearest peak of the view, ``[n_view, count]``; far where it has none."""
+    """Range of the peak nearest to the middle of each node and the next, ``[n_view, count]`` m; far where none is."""
     nearest = np.full((peaks.n_view, count), _FAR_M, np.float32)
-    nodes = start + step * np.arange(count)
     stop = np.cumsum(peaks.row_size)
     for view in np.flatnonzero(peaks.row_size):
         ranges = peaks.range_m[stop[view] - peaks.row_size[view] : stop[view]]
-        between = np.ceil(((ranges[:-1] + ranges[1:]) / 2 - start) / step)
+        between = np.ceil(((ranges[:-1] + ranges[1:]) / 2 - start) / step - 0.5)
         edges = np.concatenate([[0], np.clip(between, 0, count), [count]]).astype(np.intp)
-        nearest[view] = np.abs(nodes - np.repeat(ranges, np.diff(edges)))
+        nearest[view] = np.repeat(ranges, np.diff(edges))
     return nearest

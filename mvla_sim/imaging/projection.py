@@ -34,25 +34,28 @@ class RangeProfiles:
         q_m(r_l), ``[n_view, n_range]`` float32. Voxels whose range is off the axis receive nothing from the view.
     start_m, step_m
         First range and spacing of the axis, metres.
-    distance_m
-        Distance from r_l to the nearest peak of the view, ``[n_view, n_range]`` float32, metres, or None for methods
-        without peaks.
+    nearest_m
+        Range R of the view's peak that is nearest to the middle between r_l and r_(l+1), ``[n_view, n_range]`` float32,
+        metres, or None for methods without peaks.
     radius_m
-        R_T: a view supports a voxel, and adds to it, where ``distance ≤ radius_m``; unused without ``distance_m``.
+        R_T: a view supports a voxel at range r where ``|r − R| ≤ radius_m``; unused without ``nearest_m``.
+    gated
+        Whether a view adds only to voxels that it supports, where ``nearest_m`` is given.
     """
 
     values: NDArray[np.float32]
     start_m: float
     step_m: float
-    distance_m: NDArray[np.float32] | None = None
+    nearest_m: NDArray[np.float32] | None = None
     radius_m: float = float("inf")
+    gated: bool = True
 
     def __post_init__(self) -> None:
         """Check shapes."""
         if self.values.ndim != 2 or self.values.shape[1] < 2:
             raise ConfigError(f"profiles: values has shape {self.values.shape}, must be [n_view, n_range ≥ 2]")
-        if self.distance_m is not None and self.distance_m.shape != self.values.shape:
-            raise ConfigError(f"profiles: distance has shape {self.distance_m.shape}, values {self.values.shape}")
+        if self.nearest_m is not None and self.nearest_m.shape != self.values.shape:
+            raise ConfigError(f"profiles: nearest has shape {self.nearest_m.shape}, values {self.values.shape}")
 
     @property
     def n_view(self) -> int:
@@ -61,8 +64,8 @@ class RangeProfiles:
 
     def select(self, indices: NDArray[np.intp]) -> RangeProfiles:
         """Return the given views, in the given order."""
-        distance = None if self.distance_m is None else self.distance_m[indices]
-        return replace(self, values=self.values[indices], distance_m=distance)
+        nearest = None if self.nearest_m is None else self.nearest_m[indices]
+        return replace(self, values=self.values[indices], nearest_m=nearest)
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,7 @@ class Projection:
     total
         Σ_m q_m per voxel, ``[nz, ny, nx]`` float32.
     support_deg
-        Θ_n, ``[nz, ny, nx]`` float32, degrees (``eq:angular_support_range``); None without a distance table.
+        Θ_n, ``[nz, ny, nx]`` float32, degrees (``eq:angular_support_range``); None without the peaks' ranges.
     coverage
         Number of views whose beam covers the voxel, ``[nz, ny, nx]`` float32; None without a beam.
     """
@@ -125,7 +128,7 @@ def project(
     Returns
     -------
     Projection
-        Sums, and Θ where the profiles have a distance table.
+        Sums, and Θ where the profiles have the peaks' ranges.
 
     Notes
     -----
@@ -152,7 +155,7 @@ def project(
     tables = _upload_tables(kernels, views.select(order), angles, profiles.select(order), beam)
     gaps = np.diff(angles)
     nx, ny, _ = grid.counts
-    with_support = tables.distance is not None
+    with_support = tables.nearest is not None
     per_lane = _PER_LANE[with_support]
     lanes = min(block, -(-grid.size // per_lane) * per_lane) // per_lane or 1
     integers = [dr.opaque(t.UInt32, v) for v in (nx, ny)]
@@ -219,7 +222,8 @@ def _upload_tables(
     return kernels.Tables(
         view=_four(t, views.positions_m, gaps),
         values=_upload(t, profiles.values),
-        distance=None if profiles.distance_m is None else _upload(t, profiles.distance_m),
+        gated=profiles.gated,
+        nearest=None if profiles.nearest_m is None else _upload(t, profiles.nearest_m),
         receiver=None if views.receivers_m is None else _four(t, views.receivers_m, 0 * gaps),
         beam=None if beam is None else _upload_beam(kernels, views, beam),
         ends=None if beam is None and apart.all() else t.Float32(apart.astype(np.float32)),
@@ -264,8 +268,8 @@ def _along(views: Views) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
 
 
 def _upload(t: object, profiles: NDArray[np.float32]) -> object:
-    """Flatten to the device, with one sample behind the last so that the right neighbour always exists."""
-    return t.Float32(np.append(profiles.astype(np.float32, copy=False).ravel(), np.float32(0)))  # type: ignore[attr-defined]
+    """Flatten to the device."""
+    return t.Float32(np.ascontiguousarray(profiles, np.float32).ravel())  # type: ignore[attr-defined]
 
 
 def _join(parts: list[object], count: int) -> NDArray[np.float32]:

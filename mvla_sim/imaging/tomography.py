@@ -167,7 +167,6 @@ class LinearModel:
         count = self._operator.node_count
         wide = forward_kernel.convolve(profiles, self._taps, count, self.shape[0])
         place = dr.arange(t.UInt32, dr.width(profiles))
-        padded = dr.zeros(t.Float32, dr.width(profiles) + 1)  # the projector reads one node past the last
-        dr.scatter(padded, wide * dr.gather(t.Float32, self._weight, place % count), place, mode=dr.ReduceMode.Permute)
-        dr.eval(padded)
-        return self._operator.project(padded)
+        weighted = wide * dr.gather(t.Float32, self._weight, place % count)
+        dr.eval(weighted)
+        return self._operator.project(weighted)

@@ -233,7 +233,7 @@ def test_bad_input_is_refused():
         project(POINT, ring(4), RangeProfiles(np.ones((3, 5), np.float32), 9.0, 0.1))
     with pytest.raises(ConfigError, match="n_range"):
         RangeProfiles(np.ones((3, 1), np.float32), 9.0, 0.1)
-    with pytest.raises(ConfigError, match="distance"):
+    with pytest.raises(ConfigError, match="nearest"):
         RangeProfiles(np.ones((3, 5), np.float32), 9.0, 0.1, np.ones((3, 4), np.float32))
 
 

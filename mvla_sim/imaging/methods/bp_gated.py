@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
 from mvla_sim.imaging.backprojection import backprojection_profiles
-from mvla_sim.imaging.methods.base import Method
-from mvla_sim.imaging.mvla import kernel_scales, likelihood_profiles
-from mvla_sim.imaging.observation import Estimate, Observation
+from mvla_sim.imaging.methods.base import SumOverViews
+from mvla_sim.imaging.mvla import kernel_scales, nearest_peak
+from mvla_sim.imaging.observation import Observation
+from mvla_sim.imaging.projection import RangeProfiles
 
 __all__ = ["METHOD"]
 
 
-class _AngleGated(Method):
+class _AngleGated(SumOverViews):
     """``image_n = Σ_m P_m(2|p_n − T_m|/c)`` with Θ_n of ``eq:angular_support_range`` for the joint threshold."""
 
     title = "BP + angular gate"
     uses_pdp = True
+    per_view = False
 
-    def image(self, seen: Observation) -> Estimate:
-        sigma, radius = kernel_scales(seen.settings.mvla, seen.resolution_m, seen.extent_m)
-        profiles = likelihood_profiles(seen.peaks, sigma, radius, seen.span_m)
-        support = seen.project(profiles).support_deg
-        return Estimate(seen.project(backprojection_profiles(seen.pdp)).total.astype(np.float32, copy=False), support)
+    def own_profiles(self, seen: Observation) -> RangeProfiles:
+        _, radius = kernel_scales(seen.settings.mvla, seen.resolution_m, seen.extent_m)
+        plain = backprojection_profiles(seen.pdp)
+        nearest = nearest_peak(seen.peaks, plain.start_m, plain.step_m, plain.values.shape[1])
+        return replace(plain, nearest_m=nearest, radius_m=radius, gated=False)
 
 
 METHOD = _AngleGated()

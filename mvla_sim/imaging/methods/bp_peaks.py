@@ -24,7 +24,7 @@ class _PeakGated(SumOverViews):
         pdp = seen.pdp
         sigma, radius = kernel_scales(seen.settings.mvla, seen.resolution_m, seen.extent_m)
         start, step, nodes = range_axis(seen.span_m, sigma, seen.n_view)
-        near = nearest_peak(seen.peaks, start, step, nodes.size) <= radius + step
+        near = np.abs(nodes - nearest_peak(seen.peaks, start, step, nodes.size)) <= radius + step
         values = np.stack([np.interp(nodes, pdp.range_m, power, 0.0, 0.0) for power in pdp.power])
         largest = np.abs(pdp.power).max() or 1.0
         return RangeProfiles((values * near / largest).astype(np.float32), start, step)
