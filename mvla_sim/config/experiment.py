@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -42,16 +42,20 @@ def dotted_key(axis: str) -> str | None:
 
 
 class CalibrationSettings(Settings):
-    """Thresholds taken from another experiment's optimal ones instead of this experiment's own ground truth.
+    """Thresholds taken from another experiment instead of this experiment's own ground truth.
 
-    For each combination of the other experiment's axes that are not in ``over``, the thresholds are the means of its
-    optimal p and T_θ: first over all its cases of one value of ``over``'s first name, then over these values, so that
-    each interval weighs the same however many offsets it has. With ``scene`` in ``over`` they are means over scenes
-    too, and ``scenes`` says of which: held-out calibration, where it is of others than this experiment's.
+    For each combination of the other experiment's axes that are not in ``over``, the rule ``averages`` takes the means
+    of its optimal p and T_θ, as the paper does; the rule ``least-mean`` takes the one pair at which the mean of its CD
+    in dB is least. Means are first over all its cases of one value of ``over``'s first name, then over these values, so
+    that each interval weighs the same however many offsets it has. With ``scene`` in ``over`` they are means over
+    scenes too, and ``scenes`` says of which: held-out calibration, where it is of others than this experiment's.
     """
 
     source: Name = Field(alias="from", description="name of the other experiment's folder, beside this one's")
     over: Annotated[tuple[str, ...], Field(min_length=1)] = ("interval_deg", "offset", "seed")
+    rule: Literal["averages", "least-mean"] = Field(
+        "averages", description="'least-mean' needs evaluation.threshold_map = true in the other experiment"
+    )
     scenes: Annotated[tuple[str, ...], Field(min_length=1)] | None = Field(
         None, description="scenes of the other experiment whose thresholds count; by default all"
     )

@@ -263,6 +263,9 @@ class EvaluationSettings(Settings):
     average_precision: bool = Field(
         False, description="also the area under precision and recall at the largest of these distances; no thresholds"
     )
+    threshold_map: bool = Field(
+        False, description="also the CD at every candidate pair (p, T_θ), for a calibration by the least mean"
+    )
     threshold: Thresholds | None = Field(
         None, description="by default the optimum over every p and T_θ; 'auto': from the image, without the truth"
     )
@@ -271,8 +274,12 @@ class EvaluationSettings(Settings):
     def _without_later_fields(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what came after sweeps were stored, at its default; see :data:`LATER_BLOCKS`."""
         data: dict[str, Any] = handler(self)
-        return {key: value for key, value in data.items() if key != "average_precision" or value}
+        return {key: value for key, value in data.items() if key not in LATER_FIELDS or value}
 
+
+LATER_FIELDS: Final = ("average_precision", "threshold_map")
+"""Fields of :class:`EvaluationSettings` that are left out where they are false, for the same reason as
+:data:`LATER_BLOCKS`."""
 
 SHORT_NAMES: dict[str, str] = {
     "method": "method",

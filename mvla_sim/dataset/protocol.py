@@ -19,26 +19,21 @@ from mvla_sim.config.campaign import CampaignSettings
 from mvla_sim.config.imaging import ImagingSettings, ThresholdSettings, imaging_settings
 from mvla_sim.dataset.access import Sample
 from mvla_sim.errors import ConfigError, MvlaError, reason
+from mvla_sim.evaluation.candidates import best_db, best_pair, chamfer_table, worst_db
 from mvla_sim.evaluation.ground_truth import TruthGeometry
-from mvla_sim.evaluation.metrics import Scores, decibel, score
-from mvla_sim.evaluation.tuning import chamfer_for_prefixes
-from mvla_sim.imaging.image import Image
+from mvla_sim.evaluation.metrics import Scores, score
 from mvla_sim.imaging.pipeline import reconstruct
-from mvla_sim.imaging.threshold import joint_threshold, top_count
+from mvla_sim.imaging.threshold import joint_threshold
 from mvla_sim.scene.grid import VoxelGrid
 
 __all__ = [
-    "DISTANCES_M", "PROTOCOL", "SNR_DB", "SUPPORTS_DEG", "TOP_PERCENTS", "Attempt", "best_db", "best_thresholds",
-    "chamfer_table", "failed_metrics", "protocol_settings", "score_sample", "worst_db",
+    "DISTANCES_M", "PROTOCOL", "SNR_DB", "Attempt", "best_thresholds", "failed_metrics", "protocol_settings",
+    "score_sample",
 ]  # fmt: skip
 
 PROTOCOL: Final = 1
 """Version of the protocol; results of different versions are not compared."""
 SNR_DB: Final = 20.0
-TOP_PERCENTS: Final = tuple(float(p) for p in np.round(np.geomspace(0.005, 100, 200), 6))
-"""Candidates for p, per cent of all voxels: steps of 5 %."""
-SUPPORTS_DEG: Final = (*(5.0 * k for k in range(36)), *(180.0 + 20.0 * k for k in range(10)))
-"""Candidates for T_θ, degrees; 0 alone for methods without angular support."""
 DISTANCES_M: Final = (0.05, 0.10)
 FIXED: Final = ("method", "grid", "noise", "views", "threshold")
 """Blocks of settings that are the protocol's."""
@@ -86,17 +81,6 @@ def protocol_settings(campaign: CampaignSettings, method: str, overrides: Sequen
     )
 
 
-def worst_db(grid: VoxelGrid) -> float:
-    """CD that stands for an empty reconstruction or a failure: every distance is the grid's diagonal, dB(m²)."""
-    sides = grid.spacing_m * np.asarray(grid.counts, float)
-    return float(decibel(2 * float(sides @ sides)))
-
-
-def best_db(grid: VoxelGrid) -> float:
-    """CD that stands for a perfect reconstruction, whose own is −∞: (a tenth of the spacing)², dB(m²)."""
-    return float(decibel((0.1 * grid.spacing_m) ** 2))
-
-
 def score_sample(
     sample: Sample, settings: Sequence[ImagingSettings], thresholds: Sequence[ThresholdSettings | None]
 ) -> list[Attempt]:
@@ -134,20 +118,6 @@ def _attempt(
     return Attempt(number, seconds=seconds, metrics=metrics)
 
 
-def chamfer_table(image: Image, geometry: TruthGeometry) -> NDArray[np.float32]:
-    """CD at every pair of candidates, ``[n_support, n_percent]`` dB(m²); one row without angular support."""
-    counts = np.array([top_count(percent, image.grid.size) for percent in TOP_PERCENTS])
-    supports = SUPPORTS_DEG if image.support_deg is not None else (0.0,)
-    best, worst = best_db(image.grid), worst_db(image.grid)
-    largest = 0.0 if image.support_deg is None else float(image.support_deg.max())
-    table = np.full((len(supports), counts.size), worst, np.float32)  # also where nothing is retained
-    for row, support in enumerate(supports):
-        if support <= largest:
-            curve = chamfer_for_prefixes(image.score, image.support_deg, geometry, support)[counts - 1]
-            table[row] = np.clip(np.nan_to_num(curve, nan=worst, neginf=best), best, worst)
-    return table
-
-
 def best_thresholds(attempts: Sequence[Attempt], grid: VoxelGrid) -> tuple[ThresholdSettings, float]:
     """The pair with the least mean CD over validation samples, and that mean, dB(m²).
 
@@ -165,9 +135,7 @@ def best_thresholds(attempts: Sequence[Attempt], grid: VoxelGrid) -> tuple[Thres
     shape = tables[0].shape
     failures = [np.full(shape, worst_db(grid), np.float32)] * (len(attempts) - len(tables))
     mean = np.mean(np.array([*tables, *failures], np.float64), axis=0)
-    row, column = np.unravel_index(int(np.argmin(mean)), shape)
-    pair = ThresholdSettings(top_percent=TOP_PERCENTS[column], min_support_deg=SUPPORTS_DEG[row])
-    return pair, float(mean[row, column])
+    return best_pair(mean)
 
 
 def failed_metrics(grid: VoxelGrid) -> dict[str, float]:

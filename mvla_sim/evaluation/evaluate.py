@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mvla_sim.config.imaging import EvaluationSettings
 from mvla_sim.errors import DataError
+from mvla_sim.evaluation.candidates import chamfer_table
 from mvla_sim.evaluation.ground_truth import check_inside, rasterize
 from mvla_sim.evaluation.metrics import Scores, score
 from mvla_sim.evaluation.ranking import average_precision
@@ -39,6 +40,8 @@ class Evaluation:
         The exact optimum over every p and T_θ; None where it was not asked for.
     average_precision
         :func:`~mvla_sim.evaluation.ranking.average_precision` by column name; empty where it was not asked for.
+    threshold_map
+        :func:`~mvla_sim.evaluation.candidates.chamfer_table`; None where it was not asked for.
     truth, occupied
         Ground truth and binary reconstruction, ``[nz, ny, nx]`` bool.
     """
@@ -49,6 +52,7 @@ class Evaluation:
     scores: Scores
     optimum: Optimum | None
     average_precision: Mapping[str, float]
+    threshold_map: NDArray[np.float32] | None
     truth: NDArray[np.bool_]
     occupied: NDArray[np.bool_]
 
@@ -139,4 +143,5 @@ def evaluate(
     if settings.average_precision:
         distance = max(settings.distances_m)
         ranked[f"ap_{100 * distance:g}cm"] = average_precision(image.score, geometry, distance)
-    return Evaluation(protocol, percent, support, scores, optimum, ranked, truth, occupied)
+    tried = chamfer_table(image, geometry) if settings.threshold_map else None
+    return Evaluation(protocol, percent, support, scores, optimum, ranked, tried, truth, occupied)

@@ -62,10 +62,9 @@ def likelihood_profiles(
     -------
     RangeProfiles
         The projector adds q only where the nearest peak is within R_T. That makes the support indicator b_mn, and the
-        outer edge of the truncated kernel, exact to float32, save midway between peaks 2·R_T apart to within half a node;
-        so q itself is continued by one node beyond R_T. Only
-        where kernels of two peaks overlap *and* R_T is so short (below about 3.7 σ_R) that the truncated kernel jumps,
-        the inner edge is resolved to two nodes.
+        outer edge of the truncated kernel, exact to float32, save midway between peaks 2·R_T apart to within half
+        a node; so q itself is continued by one node beyond R_T. Only where kernels of two peaks overlap *and* R_T is so
+        short (below about 3.7 σ_R) that the truncated kernel jumps, the inner edge is resolved to two nodes.
     """
     step = sigma_m / _SAMPLES_PER_SIGMA
     start, count = _axis(span_m, step, peaks.n_view)

@@ -21,6 +21,7 @@ from mvla_sim.config.antenna import AntennaSettings
 from mvla_sim.config.imaging import EvaluationSettings, GridSettings, ImagingSettings, PdpSettings
 from mvla_sim.config.impairments import ImpairmentSettings
 from mvla_sim.errors import reason
+from mvla_sim.evaluation.candidates import pack_table
 from mvla_sim.evaluation.evaluate import Evaluation, evaluate, ground_truth
 from mvla_sim.evaluation.ground_truth import TruthGeometry
 from mvla_sim.imaging.beam import build_beam
@@ -34,7 +35,7 @@ from mvla_sim.imaging.peaks import Peaks, extract_peaks
 from mvla_sim.imaging.pipeline import check_peaks, chosen_views
 from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
-from mvla_sim.sweep.case import Case, Row
+from mvla_sim.sweep.case import MAP, Case, Row
 
 __all__ = ["Batch", "CaseRunner", "Channel", "Outcome", "channel_key", "prepare", "reason", "results", "run_batch"]
 
@@ -158,6 +159,8 @@ def results(batch: Batch, runner: CaseRunner | None = None) -> Iterator[tuple[Ro
             yield Row(case.key, "failed", reason(error), time.perf_counter() - began), None
             continue
         metrics = {"views": outcome.image.n_view, **outcome.evaluation.as_dict()}
+        if outcome.evaluation.threshold_map is not None:
+            metrics[MAP] = pack_table(outcome.evaluation.threshold_map)
         yield Row(case.key, "done", "", time.perf_counter() - began, metrics), outcome
 
 

@@ -1,23 +1,26 @@
-"""Calibrated thresholds: averages of another experiment's optimal ones, used where the truth is not looked at."""
+"""Calibrated thresholds: from another experiment's cases, used where the truth is not looked at."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from mvla_sim.config.experiment import CalibrationSettings, dotted_key
 from mvla_sim.config.imaging import ThresholdSettings
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.evaluation.candidates import best_pair, unpack_table
 from mvla_sim.files import existing_file
-from mvla_sim.sweep.table import RECORD, load_table
+from mvla_sim.sweep.table import RECORD, load_maps, load_table
 
-__all__ = ["Calibration", "average_thresholds"]
+__all__ = ["Calibration", "average_thresholds", "least_mean_thresholds"]
 
 THRESHOLDS = ["top_percent", "min_support_deg"]
 
@@ -45,6 +48,52 @@ def average_thresholds(table: pd.DataFrame, by: Sequence[str], over: Sequence[st
     return inner.groupby(list(by), dropna=False, sort=False)[THRESHOLDS].mean().reset_index()
 
 
+def least_mean_thresholds(
+    table: pd.DataFrame, maps: Mapping[str, str], by: Sequence[str], over: Sequence[str]
+) -> pd.DataFrame:
+    """Find the candidate pairs (p, T_θ) at which the mean CD in dB is least.
+
+    An empty reconstruction counts as the grid's diagonal; see :mod:`mvla_sim.evaluation.candidates`.
+
+    Parameters
+    ----------
+    table, by, over
+        As in :func:`average_thresholds`; cases are found in ``maps`` by ``key``.
+    maps
+        Packed tables of CD by the keys of their cases.
+
+    Returns
+    -------
+    DataFrame
+        As from :func:`average_thresholds`.
+
+    Raises
+    ------
+    DataError
+        A case has no map, or one that cannot be read.
+    """
+    first = [name for name in over if name in table.columns][:1]
+    rows = []
+    for place, group in table.groupby(list(by), dropna=False, sort=False):
+        parts = [part for _, part in group.groupby(first, dropna=False, sort=False)] if first else [group]
+        mean = np.mean([_mean_map(part["key"], maps) for part in parts], axis=0)
+        pair, _ = best_pair(mean)
+        rows.append((*place, pair.top_percent, pair.min_support_deg))
+    return pd.DataFrame(rows, columns=[*by, *THRESHOLDS])
+
+
+def _mean_map(keys: Iterable[str], maps: Mapping[str, str]) -> NDArray[np.float64]:
+    """Mean of the tables of some cases."""
+    tables = []
+    for key in keys:
+        if key not in maps:
+            raise DataError(f"calibration: case {key[:12]} has no map of thresholds; run that experiment again")
+        tables.append(unpack_table(maps[key]))
+    if len({table.shape for table in tables}) > 1:
+        raise DataError("calibration: methods with and without angular support have no thresholds in common")
+    return np.asarray(np.mean(tables, axis=0), np.float64)
+
+
 @dataclass(frozen=True)
 class Calibration:
     """Thresholds by the values of the columns that are kept apart.
@@ -65,7 +114,7 @@ class Calibration:
 
     @classmethod
     def load(cls, settings: CalibrationSettings, folder: Path) -> Calibration:
-        """Read the table of the other experiment, which lies beside ``folder``, and average its thresholds.
+        """Read the table of the other experiment, which lies beside ``folder``, and choose thresholds by the rule.
 
         Raises
         ------
@@ -89,11 +138,15 @@ class Calibration:
                 )
             table = table[table["scene"].isin(settings.scenes)]
         by = tuple(name for name in ("scene", *axes) if name not in settings.over)
+        if settings.rule == "least-mean":
+            chosen = least_mean_thresholds(table, load_maps(source), by, settings.over)
+        else:
+            chosen = average_thresholds(table, by, settings.over)
         found = {
             tuple(_normal(record[name]) for name in by): ThresholdSettings(
                 top_percent=float(record["top_percent"]), min_support_deg=float(record["min_support_deg"])
             )
-            for record in average_thresholds(table, by, settings.over).to_dict("records")
+            for record in chosen.to_dict("records")
         }
         return cls(source, by, found)
 

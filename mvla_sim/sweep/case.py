@@ -14,10 +14,13 @@ from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings
 from mvla_sim.config.scene import SceneSettings
 from mvla_sim.imaging.methods.registry import find_method
 
-__all__ = ["ROW_SCHEMA", "Case", "Row", "case_key", "flatten", "setting_columns"]
+__all__ = ["MAP", "ROW_SCHEMA", "Case", "Row", "case_key", "flatten", "setting_columns"]
 
-ROW_SCHEMA: Final = 1
+ROW_SCHEMA: Final = 2
 """Version of what a stored row holds and of how its numbers are made; rows of another version are not used."""
+
+MAP: Final = "threshold_map"
+"""Name among the metrics of the packed Chamfer distances at every candidate pair of thresholds."""
 
 LONGEST_LIST: Final = 3
 """Longer lists (vertices, positions) are no columns."""

@@ -12,12 +12,14 @@ import pandas as pd
 
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output, existing_file
-from mvla_sim.sweep.case import Case, Row, setting_columns
+from mvla_sim.sweep.case import MAP, Case, Row, setting_columns
 
-__all__ = ["FILE", "PARQUET", "RECORD", "averaged", "build_table", "load_table", "write_table"]
+__all__ = ["FILE", "MAPS", "PARQUET", "RECORD", "averaged", "build_table", "load_maps", "load_table", "write_table"]
 
 FILE: Final = "table.csv"
 PARQUET: Final = "table.parquet"
+MAPS: Final = "maps.parquet"
+"""Chamfer distances at every candidate pair of thresholds, by case; kept out of the table, for they are large."""
 WHAT: Final = "table of an experiment; run the experiment first"
 RECORD: Final = "experiment.json"
 """Settings and provenance, beside the table."""
@@ -51,20 +53,46 @@ def build_table(cases: Sequence[Case], rows: Mapping[str, Row]) -> pd.DataFrame:
 
 
 def write_table(table: pd.DataFrame, folder: Path) -> list[Path]:
-    """Write ``table.csv`` and ``table.parquet``; return what was written.
+    """Write ``table.csv``, ``table.parquet`` and, where there are maps, ``maps.parquet``; return what was written.
 
     Raises
     ------
     OutputError
         The folder cannot be written.
     """
-    csv, parquet = folder / FILE, folder / PARQUET
+    csv, parquet, maps = (folder / name for name in (FILE, PARQUET, MAPS))
+    files = [csv, parquet]
+    if MAP in table:
+        with atomic_output(maps) as temporary:
+            table[["key", MAP]].dropna().to_parquet(temporary, engine="pyarrow", index=False, compression="zstd")
+        table = table.drop(columns=MAP)
+        files.append(maps)
     with atomic_output(csv) as temporary:
         table.to_csv(temporary, index=False, float_format="%.9g")
     mixed = [name for name in table.columns if table[name].dropna().map(type).nunique() > 1]
     with atomic_output(parquet) as temporary:
         table.astype(dict.fromkeys(mixed, str)).to_parquet(temporary, engine="pyarrow", index=False)
-    return [csv, parquet]
+    return files
+
+
+def load_maps(folder: str | os.PathLike[str]) -> dict[str, str]:
+    """Packed maps of thresholds by the keys of their cases, from an experiment's folder.
+
+    Raises
+    ------
+    DataError
+        There are none, or the file cannot be read.
+    """
+    file = Path(folder) / MAPS
+    if not file.exists():
+        raise DataError(
+            f"{file}: no such file; run that experiment again, with evaluation.threshold_map = true in its file"
+        )
+    try:
+        table = pd.read_parquet(file, engine="pyarrow")
+        return dict(zip(table["key"].astype(str), table[MAP].astype(str), strict=True))
+    except (ValueError, OSError, KeyError) as error:  # pyarrow's own errors are these
+        raise DataError(f"{file}: not a readable file of maps ({error})") from error
 
 
 def load_table(folder: str | os.PathLike[str]) -> pd.DataFrame:

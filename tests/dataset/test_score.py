@@ -16,17 +16,10 @@ from mvla_sim.config.imaging import METHOD_NAMES
 from mvla_sim.dataset import access
 from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.leaderboard import build_leaderboard
-from mvla_sim.dataset.protocol import (
-    SUPPORTS_DEG,
-    TOP_PERCENTS,
-    Attempt,
-    best_thresholds,
-    chamfer_table,
-    protocol_settings,
-    worst_db,
-)
+from mvla_sim.dataset.protocol import Attempt, best_thresholds, protocol_settings
 from mvla_sim.dataset.score import Result, load_results, score_dataset
 from mvla_sim.errors import ConfigError, DataError, MvlaError
+from mvla_sim.evaluation.candidates import SUPPORTS_DEG, TOP_PERCENTS, chamfer_table, worst_db
 from mvla_sim.evaluation.ground_truth import TruthGeometry
 from mvla_sim.evaluation.metrics import score
 from mvla_sim.imaging.pipeline import reconstruct

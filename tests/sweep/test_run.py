@@ -10,10 +10,12 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-from sweep_files import AXES, experiment, numbers
+from sweep_files import AXES, experiment, numbers, write
 
 from mvla_sim.channel.simulate import cache_file, simulate
+from mvla_sim.config.experiment import load_experiment
 from mvla_sim.errors import OutputError
+from mvla_sim.evaluation.candidates import unpack_table
 from mvla_sim.evaluation.evaluate import evaluate
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.sweep import run as module
@@ -24,7 +26,7 @@ from mvla_sim.sweep.run import RunInterruptedError, images_of, run_experiment, r
 from mvla_sim.sweep.schedule import tasks_of
 from mvla_sim.sweep.store import FILE, Store, identity
 from mvla_sim.sweep.survey import survey
-from mvla_sim.sweep.table import load_table
+from mvla_sim.sweep.table import load_maps, load_table
 
 MANY = 'interval_deg = [30.0]\noffset = "all"\nseed = [0, 1, 2, 3]\nmethod = ["mvla-gr", "bp"]\n'
 
@@ -154,6 +156,22 @@ def test_given_thresholds_are_used_and_nothing_is_searched(tmp_path, monkeypatch
     assert row.metrics["protocol"] == "given"
     assert row.metrics["n_reconstruction"] == 48  # 3 % of 1600
     assert "optimal_cd_db" not in row.metrics
+
+
+def test_thresholds_of_the_least_mean_are_the_best_one_pair(tmp_path):
+    """A sweep with maps, then one at the pair they choose: no pair of candidates has a smaller mean over its cases."""
+    first = load_experiment(write(tmp_path, AXES, "[evaluation]\nthreshold_map = true\n", name="first"))
+    run_experiment(first, tmp_path / "results" / "first", workers=0)
+    calibration = '[calibration]\nfrom = "first"\nover = ["interval_deg", "seed"]\nrule = "least-mean"\n'
+    second = load_experiment(write(tmp_path, AXES, calibration, name="second"))
+    table = run_experiment(second, tmp_path / "results" / "second", workers=0)
+    assert set(table["protocol"]) == {"given"}
+    maps = load_maps(tmp_path / "results" / "first")
+    keys = load_table(tmp_path / "results" / "first").set_index(["interval_deg", "method", "seed"])["key"]
+    for method, part in table.groupby("method"):
+        tried = np.mean([unpack_table(maps[key]) for key in keys.xs(method, level="method")], axis=0)
+        assert part["top_percent"].nunique() == 1
+        assert part["cd_db"].mean() == pytest.approx(tried.min(), abs=0.01)
 
 
 def test_images_for_pictures_are_those_of_the_table(finished):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -11,8 +12,9 @@ import pytest
 from sweep_files import experiment
 
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.sweep.calibration import average_thresholds
-from mvla_sim.sweep.case import Row
+from mvla_sim.evaluation.candidates import SUPPORTS_DEG, TOP_PERCENTS, pack_table, unpack_table
+from mvla_sim.sweep.calibration import average_thresholds, least_mean_thresholds
+from mvla_sim.sweep.case import MAP, Row
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.table import averaged, build_table, load_table, write_table
 
@@ -98,6 +100,45 @@ def test_calibration_weighs_every_interval_the_same():
     assert found.to_dict("records") == [{"method": "bp", "top_percent": 3.5, "min_support_deg": 37.5}]
 
 
+def packed(least, *, rows=1):
+    """A map of 0 dB everywhere but at (row, column): dB."""
+    table = np.zeros((rows, len(TOP_PERCENTS)), np.float32)
+    for place, value in least.items():
+        table[place] = value
+    return pack_table(table)
+
+
+def test_least_mean_weighs_every_interval_the_same():
+    """By hand, means over 10° and 30°: −4.5 and 0 of p₅, 0 and −4 of p₆, −3 and −3.06 of p₇."""
+    table = pd.DataFrame({"method": "bp", "interval_deg": [10.0, 30.0, 30.0], "key": list("abc")})
+    maps = {
+        "a": packed({(0, 5): -9, (0, 7): -6}),
+        "b": packed({(0, 6): -16, (0, 7): -6.0}),
+        "c": packed({(0, 7): -6.25}),
+    }
+    found = least_mean_thresholds(table, maps, ["method"], ["interval_deg", "offset"])
+    assert found.to_dict("records") == [{"method": "bp", "top_percent": TOP_PERCENTS[7], "min_support_deg": 0.0}]
+    maps["b"] = packed({(0, 6): -25})  # −12.5 at 30°, −6.25 of both intervals
+    found = least_mean_thresholds(table, maps, ["method"], ["interval_deg", "offset"])
+    assert found["top_percent"].tolist() == [TOP_PERCENTS[6]]
+    with pytest.raises(DataError, match="has no map of thresholds"):
+        least_mean_thresholds(table, {"a": maps["a"]}, ["method"], ["interval_deg"])
+    maps["b"] = packed({}, rows=len(SUPPORTS_DEG))
+    with pytest.raises(DataError, match="no thresholds in common"):
+        least_mean_thresholds(table, maps, ["method"], ["interval_deg"])
+
+
+@pytest.mark.parametrize("text", ["", "!", "AAAA", pack_table(np.zeros((3, len(TOP_PERCENTS)), np.float32))])
+def test_a_damaged_map_is_one_line(text):
+    with pytest.raises(DataError, match="not a packed table"):
+        unpack_table(text)
+
+
+def test_maps_survive_packing():
+    table = np.random.default_rng(0).uniform(-60, 30, (len(SUPPORTS_DEG), len(TOP_PERCENTS))).astype(np.float32)
+    np.testing.assert_allclose(unpack_table(pack_table(table)), table, atol=0.005 + 1e-6)
+
+
 def source(folder, **changes):
     """A finished experiment 'first' beside others: p is 1 + the SNR for BP, 2 + the SNR for MVLA-GR."""
     axes = 'interval_deg = [10.0, 30.0]\noffset = "all"\nseed = [0, 1]\nsnr_db = ["none", 5.0]\n'
@@ -165,6 +206,28 @@ def test_held_out_thresholds_are_those_of_the_scenes_named(tmp_path):
         for case in plan.cases:
             expected = 1 + (case.values["method"] != "bp") + (case.values["snr_db"] or 0.0) + more
             assert case.evaluation.threshold.top_percent == pytest.approx(expected)
+
+
+def test_the_rule_of_the_least_mean_needs_the_other_experiments_maps(tmp_path):
+    """Maps are kept beside the table, not in it; the file is asked for by name where it is missing or damaged."""
+    plan, rows = source(tmp_path)
+    least_mean = HELD_OUT + 'rule = "least-mean"\n'
+    target = tmp_path / "results" / "second"
+    with pytest.raises(DataError, match=r"maps\.parquet: no such file.*evaluation\.threshold_map = true"):
+        expand(experiment(tmp_path, SECOND, least_mean), target)
+    for case in plan.cases:
+        voting = case.values["method"] != "bp"
+        tried = packed({(3 * voting, 100): -9}, rows=len(SUPPORTS_DEG) if voting else 1)
+        rows[case.key] = replace(rows[case.key], metrics=rows[case.key].metrics | {MAP: tried})
+    written = write_table(build_table(plan.cases, rows), tmp_path / "results" / "first")
+    assert [file.name for file in written] == ["table.csv", "table.parquet", "maps.parquet"]
+    assert MAP not in load_table(tmp_path / "results" / "first")
+    for case in expand(experiment(tmp_path, SECOND, least_mean), target).cases:
+        assert case.evaluation.threshold.top_percent == TOP_PERCENTS[100]
+        assert case.evaluation.threshold.min_support_deg == (0.0 if case.values["method"] == "bp" else SUPPORTS_DEG[3])
+    (tmp_path / "results" / "first" / "maps.parquet").write_bytes(b"PAR1 no")
+    with pytest.raises(DataError, match=r"maps\.parquet: not a readable file"):
+        expand(experiment(tmp_path, SECOND, least_mean), target)
 
 
 def test_held_out_scenes_must_be_there(tmp_path):
