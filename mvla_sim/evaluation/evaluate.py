@@ -130,7 +130,7 @@ def evaluate(
     if with_optimum or settings.threshold is None:
         optimum = optimal_thresholds(image.score, image.support_deg, geometry)
     if settings.threshold is not None:
-        pair = thresholds_of(settings.threshold, image.score, image.support_deg)
+        pair = thresholds_of(settings.threshold, image.score, image.support_deg, image.grid, image.resolution_m)
         protocol = "auto" if settings.threshold == "auto" else "given"
         percent, support = pair.top_percent, pair.min_support_deg
         top_count(percent, image.grid.size)

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +112,7 @@ def process(settings: ProcessSettings, folder: Path) -> Processed:
     occupied = image.occupied
     if truth is not None and image.grid.counts[2] == 1:
         with _timed(seconds, "evaluation"):
-            image = _with_outline(image, truth)
+            image = replace(image, outline=truth.outline)
             chosen = settings.evaluation
             if chosen.threshold is None and settings.imaging.threshold is not None:
                 chosen = chosen.model_copy(update={"threshold": settings.imaging.threshold})
@@ -161,13 +161,6 @@ def _measured(settings: MeasurementSettings, source: ImportSettings, folder: Pat
     if chosen.reference is not None:
         update["reference"] = chosen.reference.model_copy(update={"file": str(sweeps / chosen.reference.file)})
     return source.model_copy(update={"source": str(sweeps), "sweeps": chosen.model_copy(update=update)})
-
-
-def _with_outline(image: Image, truth: Scene) -> Image:
-    return Image(
-        image.score, image.support_deg, image.grid, image.method, image.n_view, image.occupied, truth.outline,
-        image.config, image.provenance,
-    )  # fmt: skip
 
 
 @contextmanager

@@ -6,65 +6,89 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from mvla_sim.config.imaging import ThresholdSettings
 from mvla_sim.errors import DataError
+from mvla_sim.imaging.threshold import rank_order
+from mvla_sim.scene.grid import VoxelGrid
 
-__all__ = ["automatic_thresholds", "otsu", "thresholds_of"]
+__all__ = ["automatic_thresholds", "thresholds_of"]
 
-CLIP_PERCENTILE: Final = 99.5
-"""Brighter voxels count as this bright: a few flashes would be a class of their own."""
-BINS: Final = 256
-
-
-def otsu(values: NDArray[Any]) -> float:
-    """The value that parts others best into two classes: the variance between their means is largest there.
-
-    N. Otsu, "A Threshold Selection Method from Gray-Level Histograms", IEEE Transactions on Systems, Man, and
-    Cybernetics 9(1), 1979. From a histogram of 256 bins; what lies above the returned edge is the upper class.
-
-    Parameters
-    ----------
-    values
-        Any shape, finite, at least one.
-    """
-    counts, edges = np.histogram(values, BINS)
-    middle = (edges[1:] + edges[:-1]) / 2
-    below, moment = np.cumsum(counts).astype(float), np.cumsum(counts * middle)
-    total, sum_all = below[-1], moment[-1]
-    spread = below * (total - below)
-    between = np.divide((sum_all * below / total - moment) ** 2, spread, out=np.zeros(BINS), where=spread > 0)
-    return float(edges[1 + int(between.argmax())])
+WIDTH: Final = 1.2
+"""Width of a contour in the image, in resolution cells ΔR."""
+LEAST_SUPPORT_DEG: Final = 20.0
+_BLOB: Final = 3.0
+"""Radius of a disc, in widths of a contour, that no contour is smaller than: a bright spot has no line to be found."""
 
 
-def automatic_thresholds(score: NDArray[Any], support_deg: NDArray[Any] | None) -> ThresholdSettings:
-    """Choose p and T_θ without a truth: Otsu's criterion on the score, then on Θ of what passes.
+def automatic_thresholds(
+    score: NDArray[Any], support_deg: NDArray[Any] | None, grid: VoxelGrid, resolution_m: float | None = None
+) -> ThresholdSettings:
+    """Choose p and T_θ without a truth: retain a contour's worth of voxels.
+
+    A contour of length L is seen as a line of the width w = 1.2·ΔR, so it covers the area w·L. L is not known, but what
+    is retained tells it: the perimeter of its convex hull. So p is the smallest at which the retained area is w times
+    the perimeter of the hull of what is retained; a disc of radius 3w at least, for what is smaller is no line. In three
+    dimensions a volume is w times the hull's surface. T_θ is 20°, and so two neighbouring views at least; half the
+    largest Θ where that is less. Width and T_θ were chosen on circle, square and triangle.
 
     Parameters
     ----------
     score
-        Image, any shape; what is below 0 counts as 0. Its square root is what is parted, for powers and weights vary
-        over decades.
+        Image, ``[nz, ny, nx]`` or flattened; what is not above 0 is never retained.
     support_deg
         Θ_n of the same shape, degrees; None for methods without it.
+    grid
+        The image's grid.
+    resolution_m
+        ΔR, metres, at least a voxel counts; None: the grid's spacing.
 
     Raises
     ------
     DataError
-        The image is the same everywhere, so that there is nothing to part.
+        The image is the same everywhere, or nowhere above 0, so that there is nothing to choose.
     """
-    level = np.maximum(np.asarray(score, np.float64).ravel(), 0)
-    level = np.sqrt(np.minimum(level, np.percentile(level, CLIP_PERCENTILE)))
-    if level.min() == level.max():
-        raise DataError("threshold = 'auto': the image is the same nearly everywhere; give top_percent instead")
-    passes = level > otsu(level)
-    percent = max(100 * np.count_nonzero(passes) / level.size, 100 / level.size)
-    support = 0.0 if support_deg is None else otsu(np.asarray(support_deg, np.float64).ravel()[passes])
-    return ThresholdSettings(top_percent=percent, min_support_deg=min(support, 360.0))
+    flat = np.asarray(score).ravel()
+    if not flat.max() > max(0.0, float(flat.min())):
+        raise DataError(
+            "threshold = 'auto': the image is the same everywhere or nowhere above 0; give top_percent instead"
+        )
+    order = rank_order(flat)
+    support = 0.0
+    passing = flat[order] > 0
+    if support_deg is not None:
+        theta = np.asarray(support_deg).ravel()[order]
+        support = min(LEAST_SUPPORT_DEG, float(theta[passing].max()) / 2)
+        passing &= theta >= support
+    ranks = np.flatnonzero(passing)
+    places = np.stack(np.unravel_index(order[ranks], grid.shape), axis=1)[:, np.array(grid.shape) > 1]
+    width = WIDTH * max(resolution_m or 0.0, grid.spacing_m) / grid.spacing_m
+    count = min(ranks.size, round(np.pi * (_BLOB * width) ** 2))
+    while count < ranks.size:  # the hull only grows, so no count up to the one its perimeter asks for can do
+        asked = min(ranks.size, round(width * _perimeter(places[:count])))
+        if asked <= count:
+            break
+        count = asked
+    return ThresholdSettings(top_percent=100 * (int(ranks[count - 1]) + 1) / flat.size, min_support_deg=support)
+
+
+def _perimeter(places: NDArray[np.intp]) -> float:
+    """Perimeter or surface of the convex hull of voxels ``[n, dimensions]``, in spacings; twice a line's length."""
+    if places.shape[1] > 1:
+        try:
+            return float(ConvexHull(places).area)
+        except QhullError:  # too few, or all on a line or in a plane
+            pass
+    return 2 * float(np.linalg.norm(np.ptp(places, axis=0))) if len(places) else 0.0
 
 
 def thresholds_of(
-    wanted: ThresholdSettings | str, score: NDArray[Any], support_deg: NDArray[Any] | None
+    wanted: ThresholdSettings | str,
+    score: NDArray[Any],
+    support_deg: NDArray[Any] | None,
+    grid: VoxelGrid,
+    resolution_m: float | None = None,
 ) -> ThresholdSettings:
     """Thresholds that settings ask for: given ones as they are, automatic ones for this image."""
-    return automatic_thresholds(score, support_deg) if isinstance(wanted, str) else wanted
+    return automatic_thresholds(score, support_deg, grid, resolution_m) if isinstance(wanted, str) else wanted

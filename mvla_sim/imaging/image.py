@@ -44,6 +44,8 @@ class Image:
         Binary image, ``[nz, ny, nx]`` bool, if thresholds were given.
     outline
         The target's outline carried along from the CIR for evaluation; imaging never looks at it.
+    resolution_m
+        ΔR = c/(2B), metres; None in files of earlier versions.
     config, provenance
         Settings of simulation and imaging, versions, as plain data.
     """
@@ -55,6 +57,7 @@ class Image:
     n_view: int
     occupied: NDArray[np.bool_] | None = None
     outline: Any = None
+    resolution_m: float | None = None
     config: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
 
@@ -85,6 +88,8 @@ class Image:
             "config": json.dumps(dict(self.config), sort_keys=True),
             "provenance": json.dumps(dict(self.provenance), sort_keys=True),
         }
+        if self.resolution_m is not None:
+            attributes["resolution_m"] = self.resolution_m
         if self.outline is not None:
             attributes["target_outline_wkt"] = shapely.to_wkt(self.outline, rounding_precision=9)
         metres = {"units": "m"}
@@ -124,6 +129,7 @@ class Image:
                 n_view=int(dataset.attrs["views"]),
                 occupied=dataset["occupied"].values.astype(bool) if "occupied" in dataset else None,
                 outline=shapely.from_wkt(wkt) if wkt else None,
+                resolution_m=float(dataset.attrs["resolution_m"]) if "resolution_m" in dataset.attrs else None,
                 config=table_of(dataset, "config"),
                 provenance=table_of(dataset, "provenance"),
             )

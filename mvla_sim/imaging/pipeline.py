@@ -190,7 +190,7 @@ def reconstruct(channel: Channel, settings: ImagingSettings | None = None) -> Im
     result = method.image(seen)
     occupied = None
     if settings.threshold is not None:
-        chosen_pair = thresholds_of(settings.threshold, result.score, result.support_deg)
+        chosen_pair = thresholds_of(settings.threshold, result.score, result.support_deg, grid, seen.resolution_m)
         occupied = joint_threshold(
             result.score, result.support_deg, chosen_pair.top_percent, chosen_pair.min_support_deg
         )
@@ -203,6 +203,7 @@ def reconstruct(channel: Channel, settings: ImagingSettings | None = None) -> Im
         n_view=seen.n_view,
         occupied=occupied,
         outline=channel.outline,
+        resolution_m=seen.resolution_m,
         config={"simulation": dict(channel.config), "imaging": used.model_dump(mode="json")},
         provenance={**provenance(), **{f"cir.{key}": value for key, value in channel.provenance.items()}},
     )

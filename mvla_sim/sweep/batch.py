@@ -198,7 +198,8 @@ class CaseRunner:
         chosen = chosen_views(channel.nominal_views, imaging)
         method = find_method(imaging.method)
         result = method.image(self._observation(method, imaging, grid, chosen))
-        image = Image(result.score, result.support_deg, grid, imaging.method, chosen.size, outline=channel.outline)
+        known = {"outline": channel.outline, "resolution_m": channel.pdp.resolution_m}
+        image = Image(result.score, result.support_deg, grid, imaging.method, chosen.size, **known)
         geometry = self._geometry(image, imaging.grid, case.evaluation)
         optimise = case.evaluation.threshold is None
         return Outcome(case, image, evaluate(image, case.evaluation, geometry, with_optimum=optimise))
