@@ -29,9 +29,9 @@ def automatic_thresholds(
 
     A contour of length L is seen as a line of the width w = 1.2·ΔR, so it covers the area w·L. L is not known, but what
     is retained tells it: the perimeter of its convex hull. So p is the smallest at which the retained area is w times
-    the perimeter of the hull of what is retained; a disc of radius 3w at least, for what is smaller is no line. In three
-    dimensions a volume is w times the hull's surface. T_θ is 20°, and so two neighbouring views at least; half the
-    largest Θ where that is less. Width and T_θ were chosen on circle, square and triangle.
+    the perimeter of the hull of what is retained; a disc of radius 3w at least, for what is smaller is no line. In
+    three dimensions a volume is w times the hull's surface. T_θ is 20°, and so two neighbouring views at least; half
+    the largest Θ where that is less. Width and T_θ were chosen on circle, square and triangle.
 
     Parameters
     ----------
