@@ -16,7 +16,7 @@ from mvla_sim.cli.pictures import draw_waterfall, truth_of
 from mvla_sim.config.imaging import imaging_settings
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
-from mvla_sim.report.ablation import LADDER, ablation_table, markdown, plot_ablation
+from mvla_sim.report.ablation import BESIDE, LADDER, ablation_table, markdown, plot_ablation
 from mvla_sim.report.figures import plot_comparison, plot_curves, plot_image, plot_scene
 from mvla_sim.report.robustness import plot_robustness
 from mvla_sim.report.style import save_figure
@@ -131,8 +131,9 @@ def _draw_channel(plan: Plan, channel: str, folder: Path) -> list[Path]:
 
 
 def _draw_ablation(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
-    """Draw the ladder and write its table, where an experiment has all its rungs and more than one interval."""
-    if not set(LADDER) <= set(plan.experiment.axes.get("method", ())) or "interval_deg" not in plan.experiment.axes:
+    """Draw the ladder and write its table, where an experiment is of its rungs and of nothing that is not drawn."""
+    methods = set(plan.experiment.axes.get("method", ()))
+    if not set(LADDER) <= methods <= {*LADDER, *BESIDE} or "interval_deg" not in plan.experiment.axes:
         return []
     with contextlib.suppress(DataError):  # no case is finished
         files = [folder / "ablation.md", folder / "ablation.png", folder / "ablation.pdf"]

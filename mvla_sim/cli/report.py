@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from mvla_sim.cli.beyond import sections_beyond
 from mvla_sim.cli.measured import RESULT
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.averages import mean_advantage
@@ -42,11 +43,14 @@ _HEADS = {
 """Heads of the table of thresholds; columns of one head differ by blanks."""
 VEHICLE = "vehicle"
 VOLUME = "vehicle-3d"
+TITLE = "MVLA-GR: the paper's experiments, reproduced, and beyond"
 LEAD = "Built by mvla-sim from stored results. Thresholds called optimal are found with the ground truth."
 
 
 def write_report(folder: Path) -> Path:
     """Write figures, ``claims.csv``, ``thresholds.csv`` and ``report.html`` into a folder of results.
+
+    Experiments beyond the paper have their sections where they are stored; see :mod:`mvla_sim.cli.beyond`.
 
     Raises
     ------
@@ -75,9 +79,10 @@ def write_report(folder: Path) -> Path:
         _examples(folder),
         _vehicle(folder, vehicle),
         _sensitivity(folder, found["sensitivity-star"], found["sensitivity-map"]),
+        *sections_beyond(folder),
         _record(folder),
     ]
-    return write_page(folder / "report.html", "MVLA-GR: the paper's experiments, reproduced", LEAD, sections)
+    return write_page(folder / "report.html", TITLE, LEAD, sections)
 
 
 def draw_examples(plan: Plan, folder: Path) -> list[Path]:

@@ -1,4 +1,4 @@
-"""Figures and tables of the ablation, and of methods under fair thresholds."""
+"""Figure and table of the ablation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mvla_sim.errors import DataError
 from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.report.style import COLORS, DOUBLE_COLUMN_IN, figure_style, new_figure
 
-__all__ = ["LADDER", "ablation_table", "fair_table", "markdown", "plot_ablation"]
+__all__ = ["BESIDE", "LADDER", "ablation_table", "markdown", "plot_ablation"]
 
 LADDER: Final = ("hard-vote", "soft-kernel", "power-weights", "mvla-gr")
 BESIDE: Final = ("bp", "bp-peaks", "bp-normalised", "bp-gated")
@@ -72,56 +72,6 @@ def plot_ablation(table: pd.DataFrame) -> Figure:
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure
-
-
-def fair_table(tables: dict[str, pd.DataFrame], scene: str = "star", least_interval_deg: float = 0.0) -> pd.DataFrame:
-    """Methods under several ways to choose thresholds.
-
-    Parameters
-    ----------
-    tables
-        Rows by the way's name, as ``oracle``, ``calibrated``, ``held out``; every one has ``scene``, ``method``,
-        ``interval_deg`` and ``cd_db``. A column ``ap_…cm`` of the first is taken as well.
-    scene
-        The scene that counts.
-    least_interval_deg
-        Only intervals of at least this.
-
-    Returns
-    -------
-    DataFrame
-        A row a method, by the last way's mean CD; a column of mean CD a way, with the method's rank there beside it,
-        and the mean area under precision and recall with its rank. A case without a voxel above its thresholds has no
-        CD: ``empty`` counts those of the last way, and they are left out of its mean.
-
-    Raises
-    ------
-    DataError
-        No finished case of the scene.
-    """
-    columns: dict[str, pd.Series[float]] = {}
-    empty: pd.Series[int] | None = None
-    for name, table in tables.items():
-        done = table[(table["status"] == "done") & (table["scene"] == scene)]
-        done = done[done["interval_deg"] >= least_interval_deg]
-        if done.empty:
-            raise DataError(f"fair thresholds: no finished case of {scene} in {name}")
-        finite = done[np.isfinite(done["cd_db"])]
-        columns[name] = finite.groupby("method", sort=False)["cd_db"].mean()
-        empty = (len(done) // done["method"].nunique()) - finite.groupby("method", sort=False)["cd_db"].size()
-        for area in [column for column in done.columns if column.startswith("ap_")][:1]:
-            columns[area] = done.groupby("method", sort=False)[area].mean()
-    found = pd.DataFrame(columns)
-    result = pd.DataFrame(index=found.index)
-    for column in map(str, found.columns):
-        result[column] = found[column]
-        result[f"{column} rank"] = (
-            found[column].rank(method="min", ascending=not column.startswith("ap_")).astype("Int64")
-        )
-    if empty is not None:
-        result["empty"] = empty.reindex(result.index)
-    ordered: pd.DataFrame = result.sort_values(list(tables)[-1])
-    return ordered
 
 
 def markdown(table: pd.DataFrame, digits: int = 1) -> str:

@@ -1,4 +1,4 @@
-"""Tables and figure of the ablation, and of methods under fair thresholds."""
+"""Table and figure of the ablation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from mvla_sim.errors import DataError
-from mvla_sim.report.ablation import LADDER, ablation_table, fair_table, markdown, plot_ablation
+from mvla_sim.report.ablation import LADDER, ablation_table, markdown, plot_ablation
 
 
 def rows(levels, scenes=("circle", "star"), **more):
@@ -30,6 +30,7 @@ def test_the_table_has_the_ladder_in_order_and_means_by_hand():
     assert found.loc["bp", "circle"] == -9.0
     assert found.loc["bp", "star"] == -8.0
     assert found.loc["bp", "mean"] == -8.5
+    assert "| MVLA-GR |" in markdown(found)
 
 
 def test_cases_without_a_result_are_left_out():
@@ -49,21 +50,3 @@ def test_the_figure_has_a_panel_a_scene_and_a_line_a_method():
     figure = plot_ablation(rows(LEVELS))
     assert [axis.get_title() for axis in figure.axes] == ["circle", "star"]
     assert all(len(axis.lines) == len(LEVELS) for axis in figure.axes)
-
-
-def test_fair_thresholds_rank_methods_under_each_way():
-    ways = {
-        "oracle": rows({"mvla-gr": -20.0, "bp": -10.0}, ap_10cm=0.5),
-        "held out": rows({"mvla-gr": -5.0, "bp": -8.0}),
-    }
-    ways["held out"].loc[ways["held out"]["interval_deg"] == 20, "cd_db"] = np.nan
-    found = fair_table(ways)
-    assert list(found.index) == ["bp", "mvla-gr"]  # by the last way
-    assert list(found["oracle rank"]) == [2, 1]
-    assert list(found["held out rank"]) == [1, 2]
-    assert list(found["ap_10cm rank"]) == [1, 1]
-    assert list(found["empty"]) == [1, 1]
-    assert fair_table(ways, least_interval_deg=5).loc["bp", "oracle"] == -8.0
-    with pytest.raises(DataError, match="no finished case of moon in oracle"):
-        fair_table(ways, "moon")
-    assert "| MVLA-GR |" in markdown(found)

@@ -1,0 +1,140 @@
+"""Methods under several ways to choose their thresholds: a table, a figure, and what not knowing the truth costs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from mvla_sim.errors import DataError
+from mvla_sim.imaging.methods.registry import title_of
+from mvla_sim.report.curves import LINE_COLORS, MARKERS
+from mvla_sim.report.style import DOUBLE_COLUMN_IN, figure_style, new_figure
+
+__all__ = ["WAYS", "automatic_cost", "fair_table", "plot_fair"]
+
+WAYS: Final = {
+    "oracle": "fair-thresholds",
+    "calibrated": "fair-calibrated",
+    "held out: averages": "fair-heldout",
+    "held out: least mean": "fair-leastmean",
+    "automatic": "fair-auto",
+}
+"""Experiments by the way in which they choose thresholds."""
+
+
+def fair_table(
+    tables: Mapping[str, pd.DataFrame], scene: str = "star", least_interval_deg: float = 0.0
+) -> pd.DataFrame:
+    """Methods under several ways to choose thresholds.
+
+    Parameters
+    ----------
+    tables
+        Rows by the way's name, as in :data:`WAYS`; every one has ``scene``, ``method``, ``interval_deg`` and ``cd_db``.
+        A column ``ap_…cm`` of the first is taken as well.
+    scene
+        The scene that counts.
+    least_interval_deg
+        Only intervals of at least this.
+
+    Returns
+    -------
+    DataFrame
+        A row a method, by the first way's mean CD; a column of mean CD a way, with the method's rank there beside it,
+        and the mean area under precision and recall with its rank. A case without a voxel above its thresholds has no
+        CD and is left out of the mean: ``empty`` counts those of all ways.
+
+    Raises
+    ------
+    DataError
+        No table, or no finished case of the scene in one of them.
+    """
+    if not tables:
+        raise DataError("fair thresholds: no table")
+    columns: dict[str, pd.Series[float]] = {}
+    empty: pd.Series[int] | None = None
+    for name, table in tables.items():
+        done = table[(table["status"] == "done") & (table["scene"] == scene)]
+        done = done[done["interval_deg"] >= least_interval_deg]
+        if done.empty:
+            raise DataError(f"fair thresholds: no finished case of {scene} in {name}")
+        finite = done[np.isfinite(done["cd_db"])]
+        columns[name] = finite.groupby("method", sort=False)["cd_db"].mean()
+        lost = done.groupby("method")["cd_db"].size() - finite.groupby("method")["cd_db"].size()
+        empty = lost if empty is None else empty.add(lost, fill_value=0)
+        for area in [column for column in done.columns if column.startswith("ap_")][:1]:
+            columns[area] = done.groupby("method", sort=False)[area].mean()
+    found = pd.DataFrame(columns)
+    result = pd.DataFrame(index=found.index)
+    for column in map(str, found.columns):
+        result[column] = found[column]
+        ranks = found[column].rank(method="min", ascending=not column.startswith("ap_"))
+        result[f"{column} rank"] = ranks.astype("Int64")
+    assert empty is not None
+    result["empty"] = empty.reindex(result.index).astype("Int64")
+    ordered: pd.DataFrame = result.sort_values(next(iter(tables)))
+    return ordered
+
+
+def automatic_cost(optimal: pd.DataFrame, automatic: pd.DataFrame) -> pd.DataFrame:
+    """Mean CD under automatic thresholds minus that under optimal ones, dB, by method and scene.
+
+    Parameters
+    ----------
+    optimal, automatic
+        Rows of the same cases, with ``scene``, ``method``, ``cd_db`` and the axes ``snr_db``, ``interval_deg``,
+        ``seed``. Cases that lack a CD in one of them are left out.
+
+    Returns
+    -------
+    DataFrame
+        A row a method, by its mean; a column a scene, and ``mean``.
+
+    Raises
+    ------
+    DataError
+        The tables have no finished case in common.
+    """
+    keys = ["scene", "method", "snr_db", "interval_deg", "seed"]
+    sides = []
+    for table in (optimal, automatic):
+        if lacking := [name for name in (*keys, "cd_db") if name not in table]:
+            raise DataError(f"automatic thresholds: a table lacks the column {lacking[0]}")
+        done = table[(table["status"] == "done") & np.isfinite(table["cd_db"].astype(float))]
+        sides.append(done.set_index(keys)["cd_db"].astype(float))
+    cost = (sides[1] - sides[0]).dropna()
+    if cost.empty:
+        raise DataError("automatic thresholds: the tables have no finished case in common")
+    means = cost.groupby(["method", "scene"], sort=False).mean().unstack("scene")
+    return means.assign(mean=means.mean(axis=1)).sort_values("mean")
+
+
+def plot_fair(table: pd.DataFrame) -> Figure:
+    """Draw :func:`fair_table`: a line a method, a marker a way at its mean CD; beside it the area without any."""
+    ways = [name for name in WAYS if name in table]
+    areas = [name for name in map(str, table) if name.startswith("ap_") and not name.endswith("rank")]
+    place = np.arange(len(table))[::-1]
+    with figure_style():
+        figure = new_figure(DOUBLE_COLUMN_IN, 1.0 + 0.22 * len(table))
+        panels = figure.subplots(1, 1 + len(areas), sharey=True, squeeze=False, width_ratios=[3] + [1] * len(areas))[0]
+        values = table[ways].to_numpy(float)
+        panels[0].hlines(place, np.nanmin(values, axis=1), np.nanmax(values, axis=1), color="0.8", lw=1.2, zorder=1)
+        for number, way in enumerate(ways):
+            panels[0].plot(
+                table[way].astype(float), place, ls="", marker=MARKERS[number], color=LINE_COLORS[number], ms=4.5,
+                label=way, zorder=2,
+            )  # fmt: skip
+        panels[0].set_yticks(place, [title_of(str(name)) for name in table.index])
+        panels[0].set_xlabel("mean CD (dB(m²)); better to the left")
+        for panel, area in zip(panels[1:], areas, strict=True):
+            panel.barh(place, table[area].astype(float), color="0.6", height=0.6)
+            panel.set_xlabel(f"area under precision\nand recall at {area.removeprefix('ap_').replace('cm', ' cm')}")
+        for panel in panels:
+            panel.set_axisbelow(True)
+            panel.grid(visible=True, axis="x")
+        figure.legend(loc="outside upper center", ncols=len(ways))
+    return figure
