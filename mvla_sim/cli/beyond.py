@@ -76,7 +76,9 @@ def _fair(folder: Path) -> Iterator[Section]:
         "least mean CD. Automatic: from each image, without a truth. The area under precision and recall needs no "
         "thresholds."
     )
-    shown = _titled(means[[name for name in means if name != "empty" or means[name].any()]])
+    places = {name: 2 if str(name).startswith("ap_") else 1 for name in means if means[name].dtype == float}
+    rounded = means.round(places)
+    shown = _titled(rounded[[name for name in means if name != "empty" or means[name].any()]])
     caption = "Each method's mean CD under each way to choose thresholds"
     yield Section("Methods under fair thresholds", text, [(picture, caption)], [table_html(shown, digits=3)])
 
