@@ -6,8 +6,8 @@ with θ(q_i, q_j) the direction, seen from X_i, in which circles i and j interse
 peaks need to be connected from view to view.
 
 Source: S. Kidera, T. Sakamoto, T. Sato, "Accurate UWB Radar Three-Dimensional Imaging Algorithm for a Complex Boundary
-Without Range Point Connections", IEEE Transactions on Geoscience and Remote Sensing 48(4), 1993 ff., 2010. What is
-ours:
+Without Range Point Connections", IEEE Transactions on Geoscience and Remote Sensing 48(4), 1993 ff., 2010; the formula
+as descriptions of the method give it, not checked against the paper's own text. What is ours:
 
 * It is the two-dimensional form, in the one layer of the grid. A view above or below it sees the layer in a circle of
   radius √(R² − h²), h the difference in height.
