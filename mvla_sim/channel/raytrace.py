@@ -18,7 +18,9 @@ What makes this fast, and what makes it converge:
   phase drawn from a stream named by seed and the antennas' positions, and the PDP converges as rays are added.
 * **Antennas.** Sionna traces isotropic ones; a pattern multiplies each path's gain afterwards, by the directions in
   which it leaves and arrives.
-* **Opaque bounds.** The rectangle enters the kernels as data, not as literals, so that they are compiled once.
+* **Nothing is compiled twice.** The rectangle, antenna positions and material constants enter the kernels as data, not
+  as literals. Results are taken from the solver's buffer as they are: the tensors that Sionna makes of them hold the
+  number of paths as a literal, so they are compiled anew for nearly every view, which took longer than tracing it.
 """
 
 from __future__ import annotations
@@ -190,11 +192,9 @@ class ViewTracer:
         DataError
             The cap on paths was reached: paths are missing.
         """
-        import mitsuba as mi  # noqa: PLC0415 - only after the backend is chosen
-
         receiver = position_m if receiver_m is None else receiver_m
-        self._scene.get("tx").position = mi.Point3f(*(float(c) for c in position_m))
-        self._scene.get("rx").position = mi.Point3f(*(float(c) for c in receiver))
+        self._scene.get("tx").position = _opaque_point(position_m)
+        self._scene.get("rx").position = _opaque_point(receiver)
         window = (
             LaunchWindow.around(self._vertices, position_m)
             if self._settings.launch == "sector"
@@ -218,8 +218,8 @@ class ViewTracer:
     ) -> ViewPaths:
         depth = self._settings.max_depth
         cap = min(self._settings.max_paths, one.rays * depth + 1)  # a ray gives at most one path per interaction
-        with _launch_into(window):
-            paths = self._solver(
+        with _launch_into(window), _buffer_alone():
+            found = self._solver(
                 self._scene,
                 max_depth=depth,
                 samples_per_src=one.rays,
@@ -236,23 +236,27 @@ class ViewTracer:
                 f"{label}: the {one.name} pass met the cap of {cap} paths and would lose some; "
                 f"raise ray_tracing.max_paths (now {self._settings.max_paths}) or lower the ray counts"
             )
-        return self._gather(paths, one, window, random, beam)
+        return self._gather(found, one, window, random, beam)
 
     def _gather(
-        self, paths: Any, one: _Pass, window: LaunchWindow, random: np.random.Generator, beam: _Beam | None
+        self, found: Any, one: _Pass, window: LaunchWindow, random: np.random.Generator, beam: _Beam | None
     ) -> ViewPaths:
-        """Bring a solver result to NumPy: valid paths only, absolute delays, phases applied in float64."""
-        delay = paths.tau.numpy().reshape(-1).astype(np.float64)
-        if delay.size == 0:
+        """Bring the solver's buffer to NumPy: valid paths only, absolute delays, phases applied in float64."""
+        import drjit as dr  # noqa: PLC0415 - only after the backend is chosen
+
+        if found.buffer_size == 0:
             return ViewPaths(
                 np.zeros(0, np.complex64), np.zeros(0), np.zeros(0, np.uint8), np.zeros((0, 3), np.float32)
             )
-        amplitude = paths.a[0].numpy().reshape(-1).astype(np.float64) + 1j * paths.a[1].numpy().reshape(-1)
-        kinds = paths.interactions.numpy().reshape(self._settings.max_depth, -1)
-        points = paths.vertices.numpy().reshape(self._settings.max_depth, -1, 3)
+        dr.eval(found.tau, found.a)
+        delay = found.tau.numpy().astype(np.float64)
+        amplitude = found.a[0][0].real.numpy().astype(np.float64) + 1j * found.a[0][0].imag.numpy()
+        kinds = found.interaction_types.numpy().T
+        points = np.stack([found.vertices_x.numpy(), found.vertices_y.numpy(), found.vertices_z.numpy()], axis=-1)
+        points = points.transpose(1, 0, 2)  # [depth, path, xyz]
         interaction = np.bitwise_or.reduce(kinds.astype(np.uint8), axis=0)
         diffuse = (interaction & INTERACTIONS["diffuse"]) > 0
-        keep = delay >= 0  # Sionna marks invalid paths with -1
+        keep = found.valid.numpy().astype(bool)
         if one.mixed_only:
             keep &= diffuse & (interaction != INTERACTIONS["diffuse"])
         # The solver's set of paths is deterministic; their order is that in which its threads finish.
@@ -334,6 +338,32 @@ def _launch_into(window: LaunchWindow) -> Iterator[None]:
         yield
     finally:
         sb_deterministic.fibonacci_lattice = whole
+
+
+@contextlib.contextmanager
+def _buffer_alone() -> Iterator[None]:
+    """Within the block, the path solver returns its buffer: one entry a path, in no order."""
+    from sionna.rt.path_solvers import path_solver  # noqa: PLC0415
+    from sionna.rt.path_solvers.paths_buffer import PathsBuffer  # noqa: PLC0415
+
+    whole = path_solver.Paths
+
+    def buffer(*arguments: Any) -> Any:
+        return next(one for one in arguments if isinstance(one, PathsBuffer))
+
+    path_solver.Paths = buffer
+    try:
+        yield
+    finally:
+        path_solver.Paths = whole
+
+
+def _opaque_point(position_m: NDArray[np.float64]) -> Any:
+    """A point ``[3]`` that enters kernels as data."""
+    import drjit as dr  # noqa: PLC0415
+    import mitsuba as mi  # noqa: PLC0415
+
+    return mi.Point3f(*(dr.opaque(mi.Float, float(c)) for c in position_m))
 
 
 def _make_opaque(material: Any) -> None:

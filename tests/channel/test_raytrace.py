@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import subprocess
 import sys
@@ -225,6 +226,54 @@ def test_same_bits_in_another_process():
     here = str(Path(__file__).parent)
     other = subprocess.run([sys.executable, "-c", code, here], capture_output=True, text=True, check=True, timeout=120)
     assert other.stdout == digest()
+
+
+def test_paths_are_those_of_the_solver_itself(monkeypatch):
+    """Read from the solver's buffer, they are what Sionna's own tensors hold: delay, magnitude, kind, first point."""
+    objects = [{"shape": "square", "side_m": 2.0}, {"shape": "square", "side_m": 0.5, "position_m": [0.0, 1.6, 0.0]}]
+    scene = build(objects, ring(90.0, start_deg=40.0), max_depth=2, diffuse_rays=2000, specular_rays=2000)
+    tracer = ViewTracer(scene)
+    found = tracer.trace(scene.views.positions_m[0])
+    expected = []
+    monkeypatch.setattr(raytrace, "_buffer_alone", contextlib.nullcontext)
+    monkeypatch.setattr(tracer, "_gather", lambda paths, one, *_: expected.append((one, paths)))
+    with pytest.raises(AttributeError):  # there is nothing to put together
+        tracer.trace(scene.views.positions_m[0])
+    delays, magnitudes, points = [], [], []
+    for one, paths in expected:
+        kinds = paths.interactions.numpy().reshape(2, -1)
+        joint = np.bitwise_or.reduce(kinds, axis=0)
+        diffuse = (joint & INTERACTIONS["diffuse"]) > 0
+        keep = diffuse & (joint != INTERACTIONS["diffuse"]) if one.mixed_only else np.ones(diffuse.size, bool)
+        window = LaunchWindow.around(tracer._vertices, scene.views.positions_m[0])
+        amplitude = np.abs(paths.a[0].numpy() + 1j * paths.a[1].numpy()).ravel()
+        delays.append(paths.tau.numpy().ravel()[keep])
+        magnitudes.append((amplitude * np.where(diffuse, np.sqrt(window.fraction), 1))[keep])
+        points.append(paths.vertices.numpy().reshape(2, -1, 3)[0][keep])
+    delay, magnitude, point = (np.concatenate(parts) for parts in (delays, magnitudes, points))
+    assert len(expected) == 3
+    assert found.delay_s.size == delay.size > 100
+    mine, theirs = np.lexsort((np.abs(found.gain), found.delay_s)), np.lexsort((magnitude, delay))
+    np.testing.assert_array_equal(found.delay_s[mine], delay[theirs].astype(np.float64))
+    np.testing.assert_allclose(np.abs(found.gain[mine]), magnitude[theirs], rtol=1e-5)
+    np.testing.assert_allclose(np.sort(found.first_point_m, axis=0), np.sort(point, axis=0), rtol=1e-6)
+
+
+def test_a_view_compiles_nothing_once_another_is_traced():
+    """Number of paths, positions and window are no literals in any kernel; compiling took longer than tracing."""
+    scene = build(STAR, ring(20.0, start_deg=3.0), diffuse_rays=2000, specular_rays=2000)
+    tracer = ViewTracer(scene)
+    import drjit as dr  # noqa: PLC0415 - only after the backend has chosen its library
+
+    counts = {tracer.trace(scene.views.positions_m[view]).delay_s.size for view in range(4)}
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history()
+        for view in range(4, 8):
+            counts.add(tracer.trace(scene.views.positions_m[view]).delay_s.size)
+        kernels = [one for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT]
+    assert len(counts) > 4
+    assert len(kernels) > 40
+    assert [one for one in kernels if not one["cache_hit"]] == []
 
 
 def test_cap_on_paths_is_an_error_not_a_loss():
