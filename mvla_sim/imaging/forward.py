@@ -93,8 +93,9 @@ class RangeOperator:
         from mvla_sim.imaging import kernels  # noqa: PLC0415 - compiles: only where something is projected
 
         t = self.arrays
-        per_lane = _PER_LANE[False]
-        lanes = -(-self.grid.size // per_lane)
+        nx, ny, nz = self.grid.counts
+        per_lane = min(_PER_LANE, ny * nz)
+        lanes = -(-ny * nz // per_lane) * nx
         axis = (dr.opaque(t.UInt32, self.n_view), self.node_count, *self._axis)
         found = kernels.project_block(
             replace(self._tables, values=profiles),
@@ -107,10 +108,10 @@ class RangeOperator:
             t,
         )["total"]
         image = dr.empty(t.Float32, self.grid.size)
-        lane, lane_count = dr.arange(t.UInt32, lanes), dr.opaque(t.UInt32, lanes)
+        lane, width = dr.arange(t.UInt32, lanes), self._counts[0]
         size = dr.opaque(t.UInt32, self.grid.size)
         for u, total in enumerate(found):
-            index = lane + lane_count * u
+            index = (lane // width * per_lane + u) * width + lane % width
             dr.scatter(image, total, index, index < size, mode=dr.ReduceMode.Permute)
         dr.eval(image)
         return image

@@ -93,9 +93,11 @@ def project_block(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0915, PLR
     per_lane: int,
     backend: Any,
 ):
-    """Sum profiles, and follow runs of supporting views, for ``lanes·per_lane`` voxels from flat index ``start`` on.
+    """Sum profiles, and follow runs of supporting views, for voxels of some rows along x.
 
-    Lane k handles voxels start + k, start + lanes + k, … Returns a dictionary of lists, one entry a voxel of a lane:
+    Lane k, counted from ``start``, handles the voxels at x = k mod nx in ``per_lane`` rows that follow each other, from
+    row per_lane·⌊k/nx⌋ on: neighbours, which read neighbouring nodes of a profile. Rows are counted over y, then z;
+    those beyond the grid are computed too. Returns a dictionary of lists, one entry a voxel of a lane:
     ``total``, the sums; with a beam ``coverage``, how many views see the voxel; with ranges of peaks
 
     * ``longest``: the longest run's width;
@@ -111,13 +113,11 @@ def project_block(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0915, PLR
     t = backend
     nx, ny, x0, y0, z0, spacing = grid
     n_view, n_range, range0, inverse_step = axis
-    lane = dr.arange(t.UInt32, lanes)
-    lane_count = dr.opaque(t.UInt32, lanes)  # not a literal: one program for every size
-    x, y, z = [], [], []
+    lane = dr.arange(t.UInt32, lanes) + start
+    x = dr.fma(t.Float32(lane % nx), spacing, x0)
+    y, z = [], []
     for u in range(per_lane):
-        index = lane + start + lane_count * u
-        row = index // nx
-        x.append(dr.fma(t.Float32(index % nx), spacing, x0))
+        row = lane // nx * per_lane + u
         y.append(dr.fma(t.Float32(row % ny), spacing, y0))
         z.append(dr.fma(t.Float32(row // ny), spacing, z0))
     view_table, value_table, nearest_table = tables.view, tables.values, tables.nearest
@@ -135,7 +135,7 @@ def project_block(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0915, PLR
         view = dr.gather(t.Array4f, view_table, m)
         base = m * n_range
         for u in range(per_lane):
-            dx = x[u] - view.x
+            dx = x - view.x
             dy = y[u] - view.y
             dz = z[u] - view.z
             r = dr.sqrt(dr.fma(dx, dx, dr.fma(dy, dy, dz * dz)))
@@ -144,7 +144,7 @@ def project_block(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0915, PLR
                 covered = covers(m, (dx, dy, dz))
             if dr.hint(paired, mode="scalar"):
                 receiver = dr.gather(t.Array4f, receiver_table, m)
-                ex = x[u] - receiver.x
+                ex = x - receiver.x
                 ey = y[u] - receiver.y
                 ez = z[u] - receiver.z
                 r = 0.5 * (r + dr.sqrt(dr.fma(ex, ex, dr.fma(ey, ey, ez * ez))))
@@ -155,20 +155,19 @@ def project_block(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0915, PLR
             node = t.UInt32(dr.select(inside, cell, 0.0))
             share = cell - t.Float32(node)
             place = base + node
-            q0 = dr.gather(t.Float32, value_table, place)
-            q1 = dr.gather(t.Float32, value_table, place + 1)
-            q = dr.fma(share, q1 - q0, q0)
             if dr.hint(with_beam, mode="scalar"):
                 coverage[u] += dr.select(covered, 1.0, 0.0)
                 inside &= covered
+            added = inside
             if dr.hint(with_support, mode="scalar"):
                 peak = dr.gather(t.Float32, nearest_table, place)
                 supported = inside & (dr.abs(r - peak) <= radius)
-                total[u] += dr.select(supported if gated else inside, q, 0.0)
+                added = supported if gated else inside
                 end = dr.gather(t.Float32, ends, m) > 0.0 if ends is not None else None
                 runs[u] = follow(runs[u], supported, covered, view.w, end)
-            else:
-                total[u] += dr.select(inside, q, 0.0)
+            q0 = dr.gather(t.Float32, value_table, place, added)
+            q1 = dr.gather(t.Float32, value_table, place + 1, added)
+            total[u] += dr.fma(share, q1 - q0, q0)
         m += 1
     result = {name: [voxel[name] for voxel in runs] for name in (runs[0] if with_support else ())}
     return {**result, "total": total, "coverage": coverage}
