@@ -81,7 +81,7 @@ class RangeOperator:
 
         size = dr.opaque(self.arrays.UInt32, self.grid.size)
         grid = (*self._counts, size, *self._place)
-        cut = {"parts": self._parts, "together": self._together, "n_view": self.n_view}
+        cut = {"parts": self._parts, "together": self._together, "n_view": self.n_view, "nodes": self.n_range}
         rows = forward_kernel.spread(self._tables, image, grid, (self.node_count, *self._axis), **cut)
         dr.eval(rows)
         return forward_kernel.fold(rows, weight, self.node_count, **cut)

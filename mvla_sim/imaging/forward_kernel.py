@@ -17,7 +17,15 @@ __all__ = ["convolve", "fold", "spread"]
 
 
 def spread(
-    tables: Any, image: Any, grid: tuple[Any, ...], axis: tuple[Any, ...], *, parts: int, together: int, n_view: int
+    tables: Any,
+    image: Any,
+    grid: tuple[Any, ...],
+    axis: tuple[Any, ...],
+    *,
+    parts: int,
+    together: int,
+    n_view: int,
+    nodes: int,
 ) -> Any:
     """Add up the voxels of an image over range, for every view.
 
@@ -35,8 +43,8 @@ def spread(
         Number of parts that the grid is cut into.
     together
         Views a thread.
-    n_view
-        Number of views M.
+    n_view, nodes
+        Number of views M, and n_range on the host, where asking the device for it would wait for all its work.
 
     Returns
     -------
@@ -64,7 +72,7 @@ def spread(
     receivers = [] if tables.receiver is None else [dr.gather(t.Array4f, tables.receiver, m) for m in numbers]
     bases = [(lane + lane_count * u) * n_range for u in range(together)]
     last = t.Float32(n_range - 1)
-    rows = dr.zeros(t.Float32, 2 * together * lanes * int(n_range[0]))
+    rows = dr.zeros(t.Float32, 2 * together * lanes * nodes)
 
     def step(n: Any, ix: Any, iy: Any, iz: Any) -> tuple[Any, Any, Any, Any]:
         value = dr.gather(t.Float32, image, n)
@@ -102,7 +110,7 @@ def _offset(dr: Any, voxel: tuple[Any, Any, Any], end: Any) -> tuple[tuple[Any, 
     return (dx, dy, dz), dr.sqrt(dr.fma(dx, dx, dr.fma(dy, dy, dz * dz)))
 
 
-def fold(rows: Any, weight: Any | None, n_range: Any, *, parts: int, together: int, n_view: int) -> Any:
+def fold(rows: Any, weight: Any | None, n_range: Any, *, parts: int, together: int, n_view: int, nodes: int) -> Any:
     """Put the rows of :func:`spread` together to profiles, ``[n_view·n_range]`` flat on the device, not yet evaluated.
 
     A node receives the lower shares of its own cell and the upper shares of the cell before. ``weight`` ``[n_range]``
@@ -115,7 +123,7 @@ def fold(rows: Any, weight: Any | None, n_range: Any, *, parts: int, together: i
     t = kernels.BACKEND.arrays
     columns = -(-n_view // together)
     column_count, part_count = dr.opaque(t.UInt32, columns), dr.opaque(t.UInt32, parts)
-    place = dr.arange(t.UInt32, n_view * int(n_range[0]))
+    place = dr.arange(t.UInt32, n_view * nodes)
     view, node = place // n_range, place % n_range
     row = view // column_count * (part_count * column_count) + view % column_count
     stride = 2 * column_count * n_range
@@ -131,7 +139,7 @@ def fold(rows: Any, weight: Any | None, n_range: Any, *, parts: int, together: i
     return total if weight is None else total * dr.gather(t.Float32, weight, node)
 
 
-def convolve(profiles: Any, taps: Any, n_range: Any, n_view: int) -> Any:
+def convolve(profiles: Any, taps: Any, n_range: Any) -> Any:
     """Convolve every profile with an even pulse along range, nothing outside the axis.
 
     Parameters
@@ -140,8 +148,8 @@ def convolve(profiles: Any, taps: Any, n_range: Any, n_view: int) -> Any:
         ``[n_view·n_range]`` flat on the device, evaluated.
     taps
         The pulse at nodes 0, 1, …, h; on the device.
-    n_range, n_view
-        Nodes, on the device, and views.
+    n_range
+        Nodes, on the device.
 
     Returns
     -------
@@ -153,7 +161,7 @@ def convolve(profiles: Any, taps: Any, n_range: Any, n_view: int) -> Any:
     from mvla_sim.imaging import kernels  # noqa: PLC0415 - compiles: only where something is projected
 
     t = kernels.BACKEND.arrays
-    place = dr.arange(t.UInt32, n_view * int(n_range[0]))
+    place = dr.arange(t.UInt32, dr.width(profiles))
     node = place % n_range
     count = dr.opaque(t.UInt32, dr.width(taps))
 

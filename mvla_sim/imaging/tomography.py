@@ -154,7 +154,7 @@ class LinearModel:
 
         seen = self._operator.forward(image, self._weight)
         dr.eval(seen)
-        return forward_kernel.convolve(seen, self._taps, self._operator.node_count, self.shape[0])
+        return forward_kernel.convolve(seen, self._taps, self._operator.node_count)
 
     def transpose(self, profiles: Any) -> Any:
         """Aᵀ y of profiles y, evaluated."""
@@ -165,7 +165,7 @@ class LinearModel:
         t = self.arrays
         dr.eval(profiles)
         count = self._operator.node_count
-        wide = forward_kernel.convolve(profiles, self._taps, count, self.shape[0])
+        wide = forward_kernel.convolve(profiles, self._taps, count)
         place = dr.arange(t.UInt32, dr.width(profiles))
         weighted = wide * dr.gather(t.Float32, self._weight, place % count)
         dr.eval(weighted)
