@@ -51,8 +51,8 @@ class Costs:
 
     Attributes
     ----------
-    trace, trace_known
-        A scene's tracing over its views; the latter with every kernel found in the cache.
+    trace
+        A scene's tracing over its views.
     pdp, peaks
         Reading and PDP, and noise, peaks and profiles, of a scene over its views.
     project, project_views
@@ -87,7 +87,6 @@ class Costs:
     """
 
     trace: Affine
-    trace_known: Affine
     pdp: Affine
     peaks: Affine
     project: Affine
@@ -148,8 +147,6 @@ class Estimate:
         Every stage that runs on the workers.
     computing_hours, coordinating_hours
         All stages one after the other on all cores, and the one coordinator's own work, which goes on meanwhile.
-    known_kernels_hours
-        As ``computing_hours``, with every kernel of the tracer found in the cache.
     bound
         The stage that takes longest; ``coordination`` where that takes longer than all computing.
     disk_bytes, disk_bytes_per_s
@@ -164,7 +161,6 @@ class Estimate:
     stages: tuple[StageCost, ...]
     computing_hours: float
     coordinating_hours: float
-    known_kernels_hours: float
     bound: str
     disk_bytes: float
     disk_bytes_per_s: float
@@ -221,7 +217,6 @@ def costs_from(rows: Sequence[Row]) -> Costs:
     )
     return Costs(
         trace=_affine(star, "views"),
-        trace_known=fit_affine([row.size["views"] for row in star], [row.measured.facts["again_s"] for row in star]),
         pdp=_affine(read, "views"),
         peaks=peaks,
         project=project,
@@ -281,7 +276,6 @@ def estimate(costs: Costs, campaign: Campaign | None = None) -> Estimate:
         stages=stages,
         computing_hours=computing,
         coordinating_hours=coordinating,
-        known_kernels_hours=computing + (costs.trace_known(views) - costs.trace(views)) * hours_per_s,
         bound=bound,
         disk_bytes=disk,
         disk_bytes_per_s=disk / (3600 * max(computing, coordinating)),
@@ -310,9 +304,7 @@ def _assumptions(costs: Costs, campaign: Campaign) -> tuple[str, ...]:
         f"{campaign.cores} workers of a node slow each other down as two did here: "
         f"{100 * costs.efficiency:.0f} % of the speed of one. More of them share caches and memory, which was not "
         "measured.",
-        "Every new number of paths of a view compiles some small kernels of the tracer, as was measured; the second "
-        "figure is for a cache that has them all, as one that millions of views have filled may come near.",
-        f"The large kernels are compiled in a worker's first two scenes ({costs.compile_s:.0f} s each, not counted) "
+        f"Kernels are compiled in a worker's first two scenes ({costs.compile_s:.0f} s each, not counted) "
         "and serve all others.",
         f"Tracing is affine in views, also beyond the {costs.most_views:.0f} that were traced, and projection in "
         "voxels and in views; the search follows its power laws.",

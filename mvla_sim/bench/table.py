@@ -92,8 +92,7 @@ def cost_lines(costs: Costs) -> list[str]:
         f"handing out a task: {1e3 * costs.handing_out_s:.1f} ms of the coordinator",
         f"a case of the sweep: {_seconds(costs.case_s)} of a core; noise, peaks, projection and search on their own "
         f"make {_seconds(costs.parts_s)}",
-        f"a traced view: {_seconds(costs.trace.per_unit)}; where every kernel is known "
-        f"{_seconds(costs.trace_known.per_unit)}",
+        f"a traced view: {_seconds(costs.trace.per_unit)}",
     ]
 
 
@@ -113,7 +112,6 @@ def estimate_lines(found: Estimate) -> list[str]:
     ]
     lines += [
         f"coordination: {_hours(found.coordinating_hours)} of one process, meanwhile",
-        f"with every kernel of the tracer known: {_hours(found.known_kernels_hours)} of computing",
         f"CIR files: {_bytes(found.disk_bytes)}, written at {_bytes(found.disk_bytes_per_s)}/s",
         f"memory: {_bytes(found.worker_bytes)} a worker, {_bytes(found.node_bytes)} a node",
     ]

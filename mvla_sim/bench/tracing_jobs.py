@@ -37,28 +37,20 @@ class TracingJob(Job):
         self.shape = "star" if facets is None else "circle"
         self.file = Path(tempfile.mkdtemp()) / "cir.nc"
         self.cir: Cir | None = None
-        self.last = 0
 
     def call(self, number: int) -> None:
         """Build, trace and write a scene."""
-        self.last = number
         turn = 360 * math.modf((number + 1) * GOLDEN)[0]  # no two scenes look alike from any two views
         settings = scene_settings(self.shape, self.views, self.rays, turn, **self.more)
         self.cir = simulate(Scene.from_settings(settings), cache=False)
         self.cir.save(self.file)
 
     def facts(self) -> dict[str, float]:
-        """Paths a view, bytes a path in memory and on disk, and the same scene once more: every kernel is known."""
-        again = []
-        for _ in range(2):
-            worked = self.core_s()
-            self.call(self.last)
-            again.append(self.core_s() - worked)
+        """Paths a view, and bytes a path in memory and on disk."""
         assert self.cir is not None
         cir, paths = self.cir, self.cir.gain.size
         arrays = (cir.gain, cir.delay_s, cir.interaction, cir.first_point_m, cir.row_size)
         return {
-            "again_s": min(again),
             "paths_per_view": paths / cir.n_view,
             "memory_bytes_per_path": sum(array.nbytes for array in arrays) / paths,
             "disk_bytes_per_path": self.file.stat().st_size / paths,

@@ -56,7 +56,6 @@ def test_what_cannot_be_fitted_is_refused(fit, x, y):
 
 def test_costs_are_those_of_the_rows(costs):
     assert costs.trace(360) == pytest.approx(0.1 + 0.2 * 360)
-    assert costs.trace_known(360) == pytest.approx(costs.trace(360) / 2)
     assert costs.project_s(1e6, 10) == pytest.approx(1e-2)
     assert costs.search_s(40_000, 72) == pytest.approx(0.04)
     assert costs.search_s(40_000, 288) == pytest.approx(0.08)
@@ -74,7 +73,6 @@ def test_the_estimate_adds_up(costs):
     assert by_name["tracing"].hours == pytest.approx(20.1 * 1000 / 20 / 0.8 / 3600)
     assert found.computing_hours == pytest.approx(sum(stage.hours for stage in found.stages))
     assert found.coordinating_hours == pytest.approx(3 * 1000 * 0.004 / 3600)
-    assert found.known_kernels_hours == pytest.approx(found.computing_hours - by_name["tracing"].hours / 2)
     assert found.disk_bytes == pytest.approx(1000 * 100 * 1000 * 20)
     assert found.disk_bytes_per_s == pytest.approx(found.disk_bytes / found.hours / 3600)
     assert found.worker_bytes == pytest.approx(LOADED + 10e6 + 100e6)
