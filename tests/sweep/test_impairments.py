@@ -10,6 +10,7 @@ from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings, imaging
 from mvla_sim.config.impairments import ImpairmentSettings
 from mvla_sim.evaluation.evaluate import evaluate
 from mvla_sim.imaging.pipeline import reconstruct
+from mvla_sim.sweep import case as case_module
 from mvla_sim.sweep.batch import Batch, prepare, run_batch
 from mvla_sim.sweep.case import case_key
 from mvla_sim.sweep.plan import expand
@@ -18,7 +19,7 @@ from mvla_sim.sweep.schedule import tasks_of
 from mvla_sim.sweep.store import identity
 
 CHANNEL = "c" * 32
-KEYS = {  # as they were before there were impairments
+KEYS = {  # as they were before there were impairments, at row schema 1
     "b57a0b72d35f9ff9c607ab3de8249fa8af80c46f33ab83ad51a87a36251f65aa": {},
     "64dba0e54adeacc38e2c179c9037c3db53212f2b8a46fb04ec601590fabace17": {
         "method": "bp",
@@ -53,7 +54,8 @@ SECTOR = ("imaging.impairments.blocked_sector_deg=[0.0, 0.0]",)
 
 
 @pytest.mark.parametrize("key", KEYS)
-def test_keys_of_cases_without_impairments_are_what_they_were(key):
+def test_keys_of_cases_without_impairments_are_what_they_were(monkeypatch, key):
+    monkeypatch.setattr(case_module, "ROW_SCHEMA", 1)
     settings = imaging_settings(**KEYS[key])
     assert case_key(CHANNEL, settings, EvaluationSettings()) == key
     idle = settings.model_copy(

@@ -17,7 +17,7 @@ from sweep_files import experiment, write
 from mvla_sim.config.experiment import load_experiment
 from mvla_sim.errors import DataError, OutputError
 from mvla_sim.sweep import store as module
-from mvla_sim.sweep.case import Row
+from mvla_sim.sweep.case import ROW_SCHEMA, Row
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.store import FILE, Store, identity
 
@@ -122,7 +122,7 @@ def test_another_schema_or_program_is_refused(tmp_path, monkeypatch):
     fill(tmp_path, some(1))
     with monkeypatch.context() as patch:
         patch.setattr(module, "ROW_SCHEMA", 99)
-        with pytest.raises(DataError, match="schema 1; this program writes schema 99"):
+        with pytest.raises(DataError, match=rf"schema {ROW_SCHEMA}; this program writes schema 99"):
             fill(tmp_path, [])
     monkeypatch.setattr(module, "program_version", lambda: "9.9.9")
     with pytest.raises(DataError, match=r"made by mvla-sim .*, this is 9\.9\.9"):
