@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -47,7 +49,7 @@ def sections_beyond(folder: Path) -> list[Section]:
 
 
 def _ablation(folder: Path) -> Iterator[Section]:
-    if (table := _stored(folder / ABLATION)) is None:
+    if (table := _stored(folder / ABLATION, "scene", "method", "interval_deg")) is None:
         return
     means = ablation_table(table)
     text = (
@@ -61,7 +63,12 @@ def _ablation(folder: Path) -> Iterator[Section]:
 
 
 def _fair(folder: Path) -> Iterator[Section]:
-    tables = {way: table for way, name in WAYS.items() if (table := _stored(folder / name)) is not None}
+    tables = {}
+    for way, name in WAYS.items():
+        with contextlib.suppress(DataError):  # nothing of this scene is finished there, or it is another sort of table
+            if (table := _stored(folder / name)) is not None:
+                fair_table({way: table}, FAIR_SCENE, FAIR_LEAST_DEG)
+                tables[way] = table
     if len(tables) < 2:
         return
     means = fair_table(tables, FAIR_SCENE, FAIR_LEAST_DEG)
@@ -78,7 +85,7 @@ def _fair(folder: Path) -> Iterator[Section]:
     )
     places = {name: 2 if str(name).startswith("ap_") else 1 for name in means if means[name].dtype == float}
     rounded = means.round(places)
-    shown = _titled(rounded[[name for name in means if name != "empty" or means[name].any()]])
+    shown = _titled(rounded[[name for name in means if name != "lacking" or means[name].any()]])
     caption = "Each method's mean CD under each way to choose thresholds"
     yield Section("Methods under fair thresholds", text, [(picture, caption)], [table_html(shown, digits=3)])
 
@@ -87,7 +94,10 @@ def _automatic(folder: Path) -> Iterator[Section]:
     optimal, automatic = (_stored(folder / WAYS[way]) for way in ("oracle", "automatic"))
     if optimal is None or automatic is None:
         return
-    cost = automatic_cost(optimal, automatic)
+    try:
+        cost = automatic_cost(optimal, automatic)
+    except DataError:  # they have no case in common
+        return
     with atomic_output(folder / "automatic.csv") as temporary:
         cost.reset_index().to_csv(temporary, index=False, float_format="%.6g")
     text = (
@@ -100,12 +110,16 @@ def _automatic(folder: Path) -> Iterator[Section]:
 def _robustness(folder: Path) -> Iterator[Section]:
     figures = []
     for name, what in ROBUSTNESS.items():
-        if (table := _stored(folder / name)) is None:
+        if (table := _stored(folder / name, "scene")) is None:
             continue
-        column = max((c for c in map(str, table) if c.startswith("f1_")), key=lambda c: float(c[3:-2]))
+        columns = [name for name in map(str, table) if re.fullmatch(r"f1_[\d.]+cm", name)]
+        column = max(columns, key=lambda name: float(name[3:-2]), default="")
         label = f"F1 at {column[3:-2]} cm"
         for scene in dict.fromkeys(table["scene"]):
-            figure = plot_robustness(table, scene=scene, f1=column, f1_label=label, title=scene)
+            try:
+                figure = plot_robustness(table, scene=scene, f1=column, f1_label=label, title=scene)
+            except DataError:  # nothing of this scene is finished
+                continue
             figures.append(([(png_bytes(figure), f"CD and F1 against impairments, {scene}")], f"{scene}: {what}"))
     if figures:
         text = "One impairment at a time, at the best thresholds; lines are means, bands the range over the seeds."
@@ -118,7 +132,6 @@ def _benchmark(folder: Path) -> Iterator[Section]:
         return
     try:
         board = pd.read_csv(file)
-        distance = next(column for column in map(str, board) if column.startswith("f1_10"))
         shown = pd.DataFrame(
             {
                 "method": [title_of(name) for name in board["method"]],
@@ -126,12 +139,12 @@ def _benchmark(folder: Path) -> Iterator[Section]:
                 "from": board["cd_db_lo"],
                 "to": board["cd_db_hi"],
                 "behind the first (dB)": board["behind_db"],
-                "F1 at 10 cm": board[distance],
+                "F1 at 10 cm": board["f1_10cm"],
                 "p (%)": board["top_percent"],
                 "T_θ (°)": board["min_support_deg"],
             }
         )
-    except (ValueError, KeyError, StopIteration) as error:
+    except (ValueError, KeyError) as error:
         raise DataError(f"{file}: not a leaderboard ({error!r})") from error
     text = (
         f"The test split of {BENCHMARK}, at the one pair of thresholds a method that has the least mean CD over the "
@@ -152,10 +165,12 @@ def _titled(table: pd.DataFrame) -> pd.DataFrame:
     return shown
 
 
-def _stored(folder: Path) -> pd.DataFrame | None:
-    """Table of an experiment; None where there is none, or nothing in it is finished."""
+def _stored(folder: Path, *columns: str) -> pd.DataFrame | None:
+    """Table of an experiment; None where there is none, it lacks a column, or nothing in it is finished."""
     if not ((folder / FILE).exists() or (folder / PARQUET).exists()):
         return None
     table = load_table(folder)
-    done = (table["status"] == "done") & (np.isfinite(table["cd_db"]) if "cd_db" in table else False)
+    if not {"cd_db", *columns} <= set(table.columns):
+        return None
+    done = (table["status"] == "done") & np.isfinite(table["cd_db"].astype(float))
     return table if done.any() else None

@@ -82,7 +82,7 @@ def unpack_table(text: str) -> NDArray[np.float64]:
     try:
         unpacker = zlib.decompressobj()
         largest = 2 * len(SUPPORTS_DEG) * len(TOP_PERCENTS)
-        content = unpacker.decompress(base64.b64decode(text, validate=True), largest)
+        content = unpacker.decompress(base64.b64decode(text, validate=True), largest + 1)
         steps = np.frombuffer(content, "<i2").reshape(-1, len(TOP_PERCENTS))
     except (ValueError, binascii.Error, zlib.error) as error:
         raise DataError(f"not a packed table of Chamfer distances ({error})") from error

@@ -18,8 +18,15 @@ __all__ = ["automatic_thresholds", "thresholds_of"]
 WIDTH: Final = 1.2
 """Width of a contour in the image, in resolution cells ΔR."""
 LEAST_SUPPORT_DEG: Final = 20.0
-_BLOB: Final = 3.0
-"""Radius of a disc, in widths of a contour, that no contour is smaller than: a bright spot has no line to be found."""
+_SPOTS: Final = {
+    1: lambda width: 3 * width,
+    2: lambda width: np.pi * (3 * width) ** 2,
+    3: lambda width: 4 / 3 * np.pi * (4.5 * width) ** 3,
+}
+"""Voxels of the smallest contour, by dimensions: half as wide again as a disc or ball that is all outline.
+
+A bright spot is smaller, and there is no line to be found in it. An interval has two ends.
+"""
 
 
 def automatic_thresholds(
@@ -30,8 +37,8 @@ def automatic_thresholds(
     A contour of length L is seen as a line of the width w = 1.2·ΔR, so it covers the area w·L. L is not known, but what
     is retained tells it: the perimeter of its convex hull. So p is the smallest at which the retained area is w times
     the perimeter of the hull of what is retained; a disc of radius 3w at least, for what is smaller is no line. In
-    three dimensions a volume is w times the hull's surface. T_θ is 20°, and so two neighbouring views at least; half
-    the largest Θ where that is less. Width and T_θ were chosen on circle, square and triangle.
+    three dimensions a volume is w times the hull's surface, in one w at each end. T_θ is 20°, and so two neighbouring
+    views at least; half the largest Θ where that is less. Width and T_θ were chosen on circle, square and triangle.
 
     Parameters
     ----------
@@ -47,9 +54,12 @@ def automatic_thresholds(
     Raises
     ------
     DataError
-        The image is the same everywhere, or nowhere above 0, so that there is nothing to choose.
+        The image is the same everywhere, or nowhere above 0, so that there is nothing to choose; or not finite.
     """
     flat = np.asarray(score).ravel()
+    for name, values in (("score", flat), ("angular support", support_deg)):
+        if values is not None and not np.isfinite(values).all():
+            raise DataError(f"threshold = 'auto': the {name} is not finite everywhere; give top_percent instead")
     if not flat.max() > max(0.0, float(flat.min())):
         raise DataError(
             "threshold = 'auto': the image is the same everywhere or nowhere above 0; give top_percent instead"
@@ -64,7 +74,7 @@ def automatic_thresholds(
     ranks = np.flatnonzero(passing)
     places = np.stack(np.unravel_index(order[ranks], grid.shape), axis=1)[:, np.array(grid.shape) > 1]
     width = WIDTH * max(resolution_m or 0.0, grid.spacing_m) / grid.spacing_m
-    count = min(ranks.size, round(np.pi * (_BLOB * width) ** 2))
+    count = min(ranks.size, round(_SPOTS[places.shape[1] or 1](width)))
     while count < ranks.size:  # the hull only grows, so no count up to the one its perimeter asks for can do
         asked = min(ranks.size, round(width * _perimeter(places[:count])))
         if asked <= count:
@@ -74,13 +84,23 @@ def automatic_thresholds(
 
 
 def _perimeter(places: NDArray[np.intp]) -> float:
-    """Perimeter or surface of the convex hull of voxels ``[n, dimensions]``, in spacings; twice a line's length."""
-    if places.shape[1] > 1:
-        try:
-            return float(ConvexHull(places).area)
-        except QhullError:  # too few, or all on a line or in a plane
-            pass
-    return 2 * float(np.linalg.norm(np.ptp(places, axis=0))) if len(places) else 0.0
+    """Perimeter, or surface, of the convex hull of voxels ``[n, dimensions]``, in spacings; of an interval its ends, 2.
+
+    Flat ones have two sides: a line twice its length, a plane twice its area.
+    """
+    dimensions = places.shape[1]
+    if dimensions < 2:
+        return 2.0
+    try:
+        return float(ConvexHull(places).area)
+    except QhullError:  # too few, or all on a line or in a plane
+        pass
+    offset = places - places.mean(axis=0)
+    flat = offset @ np.linalg.svd(offset, full_matrices=False)[2][: dimensions - 1].T
+    try:
+        return 2 * float(ConvexHull(flat).volume)
+    except (QhullError, ValueError):  # on a line, or one-dimensional
+        return 2 * float(np.ptp(flat[:, 0]))
 
 
 def thresholds_of(

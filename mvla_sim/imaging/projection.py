@@ -156,9 +156,9 @@ def project(
     gaps = np.diff(angles)
     nx, ny, nz = grid.counts
     with_support = tables.nearest is not None
-    rows = ny * nz
-    per_lane = min(_PER_LANE, rows)
-    groups = max(1, min(block // (nx * per_lane), -(-rows // per_lane)))
+    per_lane = min(_PER_LANE, ny * nz) if nx * _PER_LANE <= block else 1
+    groups = -(-ny * nz // per_lane)
+    lanes = min(groups * nx, block // (nx * per_lane) * nx if per_lane > 1 else block)
     integers = [dr.opaque(t.UInt32, v) for v in (nx, ny)]
     floats = [dr.opaque(t.Float32, v) for v in (*grid.origin_m, grid.spacing_m)]
     axis = (
@@ -172,11 +172,11 @@ def project(
     total = np.empty(grid.size, np.float32)
     support = np.empty(grid.size, np.float32) if with_support else None
     coverage = np.empty(grid.size, np.float32) if beam is not None else None
-    for start in range(0, grid.size, groups * per_lane * nx):
+    for start in range(0, grid.size, lanes * per_lane):
         first = dr.opaque(t.UInt32, start // per_lane)
-        outputs = kernels.project_block(tables, (*integers, *floats), axis, radius, first, groups * nx, per_lane, t)
+        outputs = kernels.project_block(tables, (*integers, *floats), axis, radius, first, lanes, per_lane, t)
         dr.eval(outputs)
-        stop = min(start + groups * per_lane * nx, grid.size)
+        stop = min(start + lanes * per_lane, grid.size)
         found = {name: _join(arrays, nx, stop - start) for name, arrays in outputs.items() if arrays}
         total[start:stop] = found["total"]
         if support is not None:
@@ -274,4 +274,6 @@ def _upload(t: object, profiles: NDArray[np.float32]) -> object:
 
 def _join(parts: list[Any], nx: int, count: int) -> NDArray[np.float32]:
     """Put the rows of a block, one in each part by turns, together to its first ``count`` voxels."""
+    if len(parts) == 1:
+        return np.asarray(parts[0].numpy(), np.float32)[:count]
     return np.stack([part.numpy().reshape(-1, nx) for part in parts], axis=1).ravel()[:count]

@@ -49,7 +49,7 @@ def plot_ablation(table: pd.DataFrame) -> Figure:
 
     Parameters and errors as :func:`ablation_table`; the table has ``interval_deg`` too.
     """
-    done = _finished(table)
+    done = _finished(table, ("scene", "method", "interval_deg", "cd_db"))
     scenes = list(dict.fromkeys(done["scene"]))
     names = [name for name in (*LADDER, *BESIDE) if name in set(done["method"])]
     colors = [COLORS[key] for key in ("grey", "sky", "green", "blue")] + [
@@ -60,7 +60,7 @@ def plot_ablation(table: pd.DataFrame) -> Figure:
         axes = np.atleast_1d(figure.subplots(1, len(scenes), sharey=True))
         for axis, scene in zip(axes, scenes, strict=True):
             part = done[done["scene"] == scene].groupby(["method", "interval_deg"])["cd_db"].mean()
-            for name in names:
+            for name in (one for one in names if one in part.index.get_level_values("method")):
                 place = (*LADDER, *BESIDE).index(name)
                 line = part[name]
                 style = "-" if name in LADDER else "--"

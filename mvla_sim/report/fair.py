@@ -24,6 +24,7 @@ WAYS: Final = {
     "automatic": "fair-auto",
 }
 """Experiments by the way in which they choose thresholds."""
+NEEDED: Final = ("status", "scene", "method", "interval_deg", "cd_db")
 
 
 def fair_table(
@@ -45,37 +46,39 @@ def fair_table(
     -------
     DataFrame
         A row a method, by the first way's mean CD; a column of mean CD a way, with the method's rank there beside it,
-        and the mean area under precision and recall with its rank. A case without a voxel above its thresholds has no
-        CD and is left out of the mean: ``empty`` counts those of all ways.
+        and the mean area under precision and recall with its rank. A case without a voxel above its thresholds, or
+        that is not done, has no CD and is left out of the mean: ``lacking`` counts those of all ways.
 
     Raises
     ------
     DataError
-        No table, or no finished case of the scene in one of them.
+        No table, one without a column that is needed, or no finished case of the scene in one of them.
     """
     if not tables:
         raise DataError("fair thresholds: no table")
     columns: dict[str, pd.Series[float]] = {}
-    empty: pd.Series[int] | None = None
+    lacking: pd.Series[int] | None = None
     for name, table in tables.items():
-        done = table[(table["status"] == "done") & (table["scene"] == scene)]
-        done = done[done["interval_deg"] >= least_interval_deg]
-        if done.empty:
+        if missing := [column for column in NEEDED if column not in table]:
+            raise DataError(f"fair thresholds: the table of {name} lacks the column {missing[0]}")
+        wanted = table[(table["scene"] == scene) & (table["interval_deg"] >= least_interval_deg)]
+        finite = wanted[(wanted["status"] == "done") & np.isfinite(wanted["cd_db"].astype(float))]
+        if finite.empty:
             raise DataError(f"fair thresholds: no finished case of {scene} in {name}")
-        finite = done[np.isfinite(done["cd_db"])]
         columns[name] = finite.groupby("method", sort=False)["cd_db"].mean()
-        lost = done.groupby("method")["cd_db"].size() - finite.groupby("method")["cd_db"].size()
-        empty = lost if empty is None else empty.add(lost, fill_value=0)
-        for area in [column for column in done.columns if column.startswith("ap_")][:1]:
-            columns[area] = done.groupby("method", sort=False)[area].mean()
+        lost = wanted.groupby("method").size().sub(finite.groupby("method").size(), fill_value=0)
+        lacking = lost if lacking is None else lacking.add(lost, fill_value=0)
+        if name == next(iter(tables)):
+            for area in [column for column in finite.columns if column.startswith("ap_")][:1]:
+                columns[area] = finite.groupby("method", sort=False)[area].mean()
     found = pd.DataFrame(columns)
     result = pd.DataFrame(index=found.index)
     for column in map(str, found.columns):
         result[column] = found[column]
         ranks = found[column].rank(method="min", ascending=not column.startswith("ap_"))
         result[f"{column} rank"] = ranks.astype("Int64")
-    assert empty is not None
-    result["empty"] = empty.reindex(result.index).astype("Int64")
+    assert lacking is not None
+    result["lacking"] = lacking.reindex(result.index).astype("Int64")
     ordered: pd.DataFrame = result.sort_values(next(iter(tables)))
     return ordered
 
@@ -86,31 +89,34 @@ def automatic_cost(optimal: pd.DataFrame, automatic: pd.DataFrame) -> pd.DataFra
     Parameters
     ----------
     optimal, automatic
-        Rows of the same cases, with ``scene``, ``method``, ``cd_db`` and the axes ``snr_db``, ``interval_deg``,
-        ``seed``. Cases that lack a CD in one of them are left out.
+        Rows of the same cases, with ``scene``, ``method``, ``cd_db`` and what they have of the axes ``snr_db``,
+        ``interval_deg``, ``offset`` and ``seed``. Cases that lack a CD in one of them are left out.
 
     Returns
     -------
     DataFrame
-        A row a method, by its mean; a column a scene, and ``mean``.
+        A row a method, by its mean; a column a scene, and ``mean``, NaN where a scene is missing.
 
     Raises
     ------
     DataError
-        The tables have no finished case in common.
+        A column is missing, cases cannot be told apart, or the tables have no finished case in common.
     """
-    keys = ["scene", "method", "snr_db", "interval_deg", "seed"]
+    axes = [name for name in ("snr_db", "interval_deg", "offset", "seed") if name in optimal and name in automatic]
+    keys = ["scene", "method", *axes]
     sides = []
     for table in (optimal, automatic):
         if lacking := [name for name in (*keys, "cd_db") if name not in table]:
             raise DataError(f"automatic thresholds: a table lacks the column {lacking[0]}")
         done = table[(table["status"] == "done") & np.isfinite(table["cd_db"].astype(float))]
+        if done.duplicated(keys).any():
+            raise DataError(f"automatic thresholds: a table has several cases of one {', '.join(keys)}")
         sides.append(done.set_index(keys)["cd_db"].astype(float))
     cost = (sides[1] - sides[0]).dropna()
     if cost.empty:
         raise DataError("automatic thresholds: the tables have no finished case in common")
     means = cost.groupby(["method", "scene"], sort=False).mean().unstack("scene")
-    return means.assign(mean=means.mean(axis=1)).sort_values("mean")
+    return means.assign(mean=means.mean(axis=1, skipna=False)).sort_values("mean")
 
 
 def plot_fair(table: pd.DataFrame) -> Figure:
@@ -121,8 +127,8 @@ def plot_fair(table: pd.DataFrame) -> Figure:
     with figure_style():
         figure = new_figure(DOUBLE_COLUMN_IN, 1.0 + 0.22 * len(table))
         panels = figure.subplots(1, 1 + len(areas), sharey=True, squeeze=False, width_ratios=[3] + [1] * len(areas))[0]
-        values = table[ways].to_numpy(float)
-        panels[0].hlines(place, np.nanmin(values, axis=1), np.nanmax(values, axis=1), color="0.8", lw=1.2, zorder=1)
+        ends = table[ways].astype(float).agg(["min", "max"], axis=1)
+        panels[0].hlines(place, ends["min"], ends["max"], color="0.8", lw=1.2, zorder=1)
         for number, way in enumerate(ways):
             panels[0].plot(
                 table[way].astype(float), place, ls="", marker=MARKERS[number], color=LINE_COLORS[number], ms=4.5,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from mvla_sim.config.imaging import ThresholdSettings
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.evaluation.candidates import best_pair, unpack_table
 from mvla_sim.files import existing_file
-from mvla_sim.sweep.table import RECORD, load_maps, load_table
+from mvla_sim.sweep.table import MAPS, RECORD, load_maps, load_table
 
 __all__ = ["Calibration", "average_thresholds", "least_mean_thresholds"]
 
@@ -44,6 +44,9 @@ def average_thresholds(table: pd.DataFrame, by: Sequence[str], over: Sequence[st
         One row a combination of ``by``: these columns and the averages of p (per cent) and T_θ (degrees).
     """
     first = [name for name in over if name in table.columns][:1]
+    if not by:
+        parts = table.groupby(first, dropna=False, sort=False)[THRESHOLDS].mean() if first else table[THRESHOLDS]
+        return parts.mean().to_frame().T
     inner = table.groupby([*by, *first], dropna=False, sort=False)[THRESHOLDS].mean().reset_index()
     return inner.groupby(list(by), dropna=False, sort=False)[THRESHOLDS].mean().reset_index()
 
@@ -74,21 +77,29 @@ def least_mean_thresholds(
     """
     first = [name for name in over if name in table.columns][:1]
     rows = []
-    for place, group in table.groupby(list(by), dropna=False, sort=False):
+    groups = table.groupby(list(by), dropna=False, sort=False) if by else [((), table)]
+    for place, group in groups:
         parts = [part for _, part in group.groupby(first, dropna=False, sort=False)] if first else [group]
-        mean = np.mean([_mean_map(part["key"], maps) for part in parts], axis=0)
-        pair, _ = best_pair(mean)
+        pair, _ = best_pair(_mean([_mean([_map(key, maps) for key in part["key"]]) for part in parts]))
         rows.append((*place, pair.top_percent, pair.min_support_deg))
     return pd.DataFrame(rows, columns=[*by, *THRESHOLDS])
 
 
-def _mean_map(keys: Iterable[str], maps: Mapping[str, str]) -> NDArray[np.float64]:
-    """Mean of the tables of some cases."""
-    tables = []
-    for key in keys:
-        if key not in maps:
-            raise DataError(f"calibration: case {key[:12]} has no map of thresholds; run that experiment again")
-        tables.append(unpack_table(maps[key]))
+def _map(key: str, maps: Mapping[str, str]) -> NDArray[np.float64]:
+    """The table of a case."""
+    if key not in maps:
+        raise DataError(
+            f"calibration: case {key[:12]} has no map of thresholds; run that experiment again, with "
+            f"evaluation.threshold_map = true in its file"
+        )
+    try:
+        return unpack_table(maps[key])
+    except DataError as error:
+        raise DataError(f"calibration: {MAPS}, case {key[:12]}: {error}; run that experiment with --fresh") from error
+
+
+def _mean(tables: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Mean of tables of one shape."""
     if len({table.shape for table in tables}) > 1:
         raise DataError("calibration: methods with and without angular support have no thresholds in common")
     return np.asarray(np.mean(tables, axis=0), np.float64)

@@ -67,6 +67,8 @@ def write_table(table: pd.DataFrame, folder: Path) -> list[Path]:
             table[["key", MAP]].dropna().to_parquet(temporary, engine="pyarrow", index=False, compression="zstd")
         table = table.drop(columns=MAP)
         files.append(maps)
+    else:
+        maps.unlink(missing_ok=True)  # of cases that are no more
     with atomic_output(csv) as temporary:
         table.to_csv(temporary, index=False, float_format="%.9g")
     mixed = [name for name in table.columns if table[name].dropna().map(type).nunique() > 1]

@@ -239,7 +239,7 @@ def test_paths_are_those_of_the_solver_itself(monkeypatch):
     monkeypatch.setattr(tracer, "_gather", lambda paths, one, *_: expected.append((one, paths)))
     with pytest.raises(AttributeError):  # there is nothing to put together
         tracer.trace(scene.views.positions_m[0])
-    delays, magnitudes, points = [], [], []
+    rows = []
     for one, paths in expected:
         kinds = paths.interactions.numpy().reshape(2, -1)
         joint = np.bitwise_or.reduce(kinds, axis=0)
@@ -247,16 +247,17 @@ def test_paths_are_those_of_the_solver_itself(monkeypatch):
         keep = diffuse & (joint != INTERACTIONS["diffuse"]) if one.mixed_only else np.ones(diffuse.size, bool)
         window = LaunchWindow.around(tracer._vertices, scene.views.positions_m[0])
         amplitude = np.abs(paths.a[0].numpy() + 1j * paths.a[1].numpy()).ravel()
-        delays.append(paths.tau.numpy().ravel()[keep])
-        magnitudes.append((amplitude * np.where(diffuse, np.sqrt(window.fraction), 1))[keep])
-        points.append(paths.vertices.numpy().reshape(2, -1, 3)[0][keep])
-    delay, magnitude, point = (np.concatenate(parts) for parts in (delays, magnitudes, points))
+        magnitude = amplitude * np.where(diffuse, np.sqrt(window.fraction), 1)
+        points = paths.vertices.numpy().reshape(2, -1, 3)[0]
+        rows.append(np.column_stack([paths.tau.numpy().ravel(), joint, points, magnitude])[keep])
+    theirs = np.concatenate(rows)
+    mine = np.column_stack([found.delay_s, found.interaction, found.first_point_m, np.abs(found.gain)])
     assert len(expected) == 3
-    assert found.delay_s.size == delay.size > 100
-    mine, theirs = np.lexsort((np.abs(found.gain), found.delay_s)), np.lexsort((magnitude, delay))
-    np.testing.assert_array_equal(found.delay_s[mine], delay[theirs].astype(np.float64))
-    np.testing.assert_allclose(np.abs(found.gain[mine]), magnitude[theirs], rtol=1e-5)
-    np.testing.assert_allclose(np.sort(found.first_point_m, axis=0), np.sort(point, axis=0), rtol=1e-6)
+    assert mine.shape == theirs.shape
+    assert len(mine) > 100
+    mine, theirs = (table[np.lexsort(table.T[4::-1])] for table in (mine, theirs))
+    np.testing.assert_array_equal(mine[:, :5], theirs[:, :5])
+    np.testing.assert_allclose(mine[:, 5], theirs[:, 5], rtol=1e-5)
 
 
 def test_a_view_compiles_nothing_once_another_is_traced():
@@ -273,7 +274,7 @@ def test_a_view_compiles_nothing_once_another_is_traced():
         kernels = [one for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT]
     assert len(counts) > 4
     assert len(kernels) > 40
-    assert [one for one in kernels if not one["cache_hit"]] == []
+    assert [one for one in kernels if not one["cache_hit"] or one["cache_disk"]] == []  # neither made nor read anew
 
 
 def test_cap_on_paths_is_an_error_not_a_loss():

@@ -228,6 +228,19 @@ def test_kernel_scales_are_the_papers():
         kernel_scales(MvlaSettings(), 0.05, float("nan"))
 
 
+@pytest.mark.parametrize("counts", [(7, 5, 3), (1, 9, 1), (1, 1, 6), (40, 1, 1), (3, 2, 2)])
+@pytest.mark.parametrize("block", [1, 3, 16, 1 << 18])
+def test_shape_of_grid_and_size_of_blocks_change_nothing(counts, block):
+    """Rows that no thread's share divides, layers, and rows longer than a block: the sum over views, voxel by voxel."""
+    grid, views = VoxelGrid((0.1, -0.2, 0.3), counts, 0.11), ring(7)
+    values = np.random.default_rng(1).random((7, 80)).astype(np.float32)
+    found = project(grid, views, RangeProfiles(values, 8.0, 0.05), block=block).total
+    ranges = np.linalg.norm(grid.centers()[:, None] - views.positions_m, axis=-1)
+    nodes = 8.0 + 0.05 * np.arange(80)
+    expected = sum(np.interp(ranges[:, m], nodes, values[m], 0.0, 0.0) for m in range(7))
+    np.testing.assert_allclose(found.ravel(), expected, rtol=2e-4)
+
+
 def test_bad_input_is_refused():
     with pytest.raises(ConfigError, match="3 profiles for 4 views"):
         project(POINT, ring(4), RangeProfiles(np.ones((3, 5), np.float32), 9.0, 0.1))

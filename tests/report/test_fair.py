@@ -43,8 +43,16 @@ def test_methods_are_ranked_under_each_way():
     assert list(found["held out: averages"]) == [-4.0, -7.0]
     assert list(found["held out: averages rank"]) == [2, 1]
     assert list(found["ap_10cm rank"]) == [1, 1]
-    assert list(found["empty"]) == [2, 2]
+    assert list(found["lacking"]) == [2, 2]
     assert fair_table({"oracle": ways()["oracle"]}, least_interval_deg=10.0).loc["bp", "oracle"] == -7.0
+    lost = ways()
+    lost["oracle"].loc[lost["oracle"]["method"] == "bp", "cd_db"] = np.nan  # all of them, on the star 4
+    lost["held out: averages"].loc[lost["held out: averages"]["method"] == "bp", "status"] = "failed"  # 4 more
+    assert fair_table(lost)["lacking"].to_dict() == {"mvla-gr": 2}  # bp has no result in any way, so no row
+    lost["oracle"] = ways()["oracle"]
+    assert fair_table(lost)["lacking"].to_dict() == {"mvla-gr": 2, "bp": 4}
+    lost["held out: averages"]["ap_10cm"] = 0.9  # the first way's counts
+    assert fair_table(lost).loc["mvla-gr", "ap_10cm"] == 0.5
     with pytest.raises(DataError, match="no finished case of moon in oracle"):
         fair_table(ways(), "moon")
     with pytest.raises(DataError, match="no table"):
@@ -70,8 +78,15 @@ def test_the_cost_of_not_knowing_the_truth_is_a_mean_over_the_same_cases():
     assert cost.loc["mvla-gr"].tolist() == [3.0, 4.0, 3.5]
     with pytest.raises(DataError, match="no finished case in common"):
         automatic_cost(optimal, automatic.assign(status="failed"))
-    with pytest.raises(DataError, match="lacks the column seed"):
-        automatic_cost(optimal, automatic.drop(columns="seed"))
+    with pytest.raises(DataError, match="lacks the column method"):
+        automatic_cost(optimal, automatic.drop(columns="method"))
+    with pytest.raises(DataError, match="several cases of one"):
+        automatic_cost(pd.concat([optimal, optimal]), automatic)
+    offsets = [table.assign(offset=0, cd_db=table["cd_db"]) for table in (optimal, automatic)]
+    more = [pd.concat([table, table.assign(offset=1, cd_db=table["cd_db"] + 10)]) for table in offsets]
+    assert automatic_cost(*more).loc["mvla-gr"].tolist() == [3.0, 4.0, 3.5]  # not of one offset against the other
+    automatic.loc[(automatic["method"] == "bp") & (automatic["scene"] == "star"), "status"] = "failed"
+    assert np.isnan(automatic_cost(optimal, automatic).loc["bp", "mean"])  # not the mean of fewer scenes
 
 
 def stored(folder, name, table):
@@ -129,6 +144,24 @@ def test_what_is_not_stored_has_no_section(tmp_path):
     stored(tmp_path, "fair-thresholds", rows({"mvla-gr": -20.0}))
     stored(tmp_path, "fair-auto", rows({"mvla-gr": -20.0}).assign(status="missing"))
     assert sections_beyond(tmp_path) == []
+
+
+def test_what_is_half_stored_is_left_out(results):
+    """An experiment that was stopped, or is of another sort, must not keep the report from being written."""
+    for name in ("fair-calibrated", "robustness"):
+        table = pd.read_csv(results / name / "table.csv")
+        other = table.assign(scene="circle", key="x" + table["key"])
+        table["status"] = "missing"
+        pd.concat([table, other]).to_csv(results / name / "table.csv", index=False)
+    table = pd.read_csv(results / "ablation" / "table.csv")
+    table.loc[(table["method"] == "bp") & (table["scene"] == "star"), "status"] = "failed"
+    table.to_csv(results / "ablation" / "table.csv", index=False)
+    table = pd.read_csv(results / "fair-heldout" / "table.csv").drop(columns="interval_deg")
+    table.to_csv(results / "fair-heldout" / "table.csv", index=False)
+    sections = {section.title: section for section in sections_beyond(results)}
+    assert [caption for _, caption in sections["Robustness"].figures] == ["circle: every 5° on a circle, 20 dB"]
+    assert set(pd.read_csv(results / "fair.csv").columns) & set(WAYS) == {"oracle", "held out: least mean", "automatic"}
+    assert "Backprojection" in sections["Which ingredient brings how much"].tables[0]
 
 
 def test_a_damaged_leaderboard_is_named(results):

@@ -124,7 +124,11 @@ def test_least_mean_weighs_every_interval_the_same():
     with pytest.raises(DataError, match="has no map of thresholds"):
         least_mean_thresholds(table, {"a": maps["a"]}, ["method"], ["interval_deg"])
     maps["b"] = packed({}, rows=len(SUPPORTS_DEG))
-    with pytest.raises(DataError, match="no thresholds in common"):
+    for over in (["interval_deg"], ["method", "interval_deg"]):
+        with pytest.raises(DataError, match="no thresholds in common"):
+            least_mean_thresholds(table, maps, [], over)
+    maps["b"] = "AAAA"
+    with pytest.raises(DataError, match=r"maps\.parquet, case b: not a packed table"):
         least_mean_thresholds(table, maps, ["method"], ["interval_deg"])
 
 
@@ -228,6 +232,24 @@ def test_the_rule_of_the_least_mean_needs_the_other_experiments_maps(tmp_path):
     (tmp_path / "results" / "first" / "maps.parquet").write_bytes(b"PAR1 no")
     with pytest.raises(DataError, match=r"maps\.parquet: not a readable file"):
         expand(experiment(tmp_path, SECOND, least_mean), target)
+
+
+def test_one_pair_for_everything_may_be_asked_for(tmp_path):
+    """``over`` names every axis and the scene: the mean of p of both methods and SNRs, by hand 1.5 + 2.5."""
+    source(tmp_path)
+    over = CALIBRATION + 'over = ["interval_deg", "offset", "seed", "snr_db", "method", "scene"]\n'
+    for case in expand(experiment(tmp_path, SECOND, over), tmp_path / "results" / "second").cases:
+        assert case.evaluation.threshold.top_percent == pytest.approx(4.0)
+
+
+def test_a_table_without_maps_leaves_no_stale_ones(tmp_path):
+    plan, rows = source(tmp_path)
+    folder = tmp_path / "results" / "first"
+    mapped = {key: replace(row, metrics=row.metrics | {MAP: packed({})}) for key, row in rows.items()}
+    write_table(build_table(plan.cases, mapped), folder)
+    assert (folder / "maps.parquet").exists()
+    write_table(build_table(plan.cases, rows), folder)
+    assert not (folder / "maps.parquet").exists()
 
 
 def test_held_out_scenes_must_be_there(tmp_path):

@@ -14,7 +14,10 @@ __all__ = ["METHOD"]
 
 
 class _AngleGated(SumOverViews):
-    """``image_n = Σ_m P_m(2|p_n − T_m|/c)`` with Θ_n of ``eq:angular_support_range`` for the joint threshold."""
+    """``image_n = Σ_m P_m(2|p_n − T_m|/c)`` with Θ_n of ``eq:angular_support_range`` for the joint threshold.
+
+    A view supports what lies in its profile's gate, where alone it adds anything.
+    """
 
     title = "BP + angular gate"
     uses_pdp = True
