@@ -35,6 +35,16 @@ ROBUSTNESS: Final = {
 """Experiments on robustness, and what is seen in them."""
 
 
+WHAT: Final = {
+    "oracle": "Oracle: each case's own best thresholds.",
+    "calibrated": "Calibrated: averages of the target's own optimal ones, per SNR, as in the paper.",
+    "held out: averages": "Held out: from other targets alone, as averages of their optimal ones.",
+    "held out: least mean": "Held out, least mean: the one pair with the least mean CD over other targets.",
+    "automatic": "Automatic: from each image, without a truth.",
+}
+"""What each way to choose thresholds is."""
+
+
 def sections_beyond(folder: Path) -> list[Section]:
     """Build the sections whose experiments are stored in a folder of results; write ``fair.csv``, ``automatic.csv``.
 
@@ -63,12 +73,13 @@ def _ablation(folder: Path) -> Iterator[Section]:
 
 
 def _fair(folder: Path) -> Iterator[Section]:
-    tables = {}
+    tables: dict[str, pd.DataFrame] = {}
     for way, name in WAYS.items():
+        if (table := _stored(folder / name)) is None:
+            continue
         with contextlib.suppress(DataError):  # nothing of this scene is finished there, or it is another sort of table
-            if (table := _stored(folder / name)) is not None:
-                fair_table({way: table}, FAIR_SCENE, FAIR_LEAST_DEG)
-                tables[way] = table
+            fair_table(tables | {way: table}, FAIR_SCENE, FAIR_LEAST_DEG)
+            tables[way] = table
     if len(tables) < 2:
         return
     means = fair_table(tables, FAIR_SCENE, FAIR_LEAST_DEG)
@@ -76,12 +87,12 @@ def _fair(folder: Path) -> Iterator[Section]:
         means.rename_axis("method").reset_index().to_csv(temporary, index=False, float_format="%.6g")
     picture = folder / "fair.png"
     save_figure(plot_fair(means), picture)
-    text = (
-        f"Mean CD in dB(m²) on the {FAIR_SCENE}, Δθ from {FAIR_LEAST_DEG:g}°, and each method's rank. Oracle: each "
-        "case's own best thresholds. Calibrated: averages of the target's own optimal ones, per SNR, as in the paper. "
-        "Held out: from circle, square and triangle alone, as averages of the optimal ones or as the one pair with the "
-        "least mean CD. Automatic: from each image, without a truth. The area under precision and recall needs no "
-        "thresholds."
+    text = " ".join(
+        (
+            f"Mean CD in dB(m²) on the {FAIR_SCENE}, Δθ from {FAIR_LEAST_DEG:g}°, and each method's rank.",
+            *(WHAT[way] for way in tables),
+            "The area under precision and recall (AP) needs no thresholds.",
+        )
     )
     places = {name: 2 if str(name).startswith("ap_") else 1 for name in means if means[name].dtype == float}
     rounded = means.round(places)
@@ -159,6 +170,9 @@ def _titled(table: pd.DataFrame) -> pd.DataFrame:
     for name in shown:
         if str(name).endswith(" rank"):
             shown[name] = [str(rank) for rank in shown[name]]
+    shown = shown.rename(
+        columns={name: f"AP {name[3:-2]} cm" for name in map(str, shown) if re.fullmatch(r"ap_[\d.]+cm", name)}
+    )
     heads = {str(name): "rank" + " " * n for n, name in enumerate(shown) if str(name).endswith(" rank")}
     shown = shown.rename(columns=heads)
     shown.insert(0, "method", [title_of(str(name)) for name in table.index])

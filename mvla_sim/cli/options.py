@@ -10,8 +10,8 @@ from rich.console import Console
 
 __all__ = ["CacheUrl", "Output", "Overrides", "Scheduler", "Workers", "errors", "note", "out"]
 
-errors = Console(stderr=True, soft_wrap=True, highlight=False)
-out = Console(soft_wrap=True, highlight=False)
+errors = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
+out = Console(soft_wrap=True, highlight=False, emoji=False)
 
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Override a setting: dotted.key=value. May be repeated.")

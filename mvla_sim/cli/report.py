@@ -61,7 +61,8 @@ def write_report(folder: Path) -> Path:
     """
     found = {name: _table(folder / name) for name in
              ("kappa-eta", "star-optimal", "star-calibrated", "sensitivity-star", "sensitivity-map")}  # fmt: skip
-    if all(table is None for table in found.values()):
+    beyond = sections_beyond(folder)
+    if all(table is None for table in found.values()) and not beyond:
         raise DataError(f"{folder}: holds no table of an experiment; run mvla reproduce first")
     checks = _json(folder / "checks.json")
     vehicle = _json(folder / VEHICLE / RESULT)
@@ -79,7 +80,7 @@ def write_report(folder: Path) -> Path:
         _examples(folder),
         _vehicle(folder, vehicle),
         _sensitivity(folder, found["sensitivity-star"], found["sensitivity-map"]),
-        *sections_beyond(folder),
+        *beyond,
         _record(folder),
     ]
     return write_page(folder / "report.html", TITLE, LEAD, sections)
@@ -127,7 +128,7 @@ def _keys(claims: list[Claim], optimal: pd.DataFrame | None, run: dict[str, Any]
         for interval in sorted({1.0, 5.0, 30.0} & set(means.dropna().index)):
             pair = f"{means.loc[interval, 'mvla-gr']:.1f} / {means.loc[interval, 'bp']:.1f} dB".replace("-", "−")
             keys.append((pair, f"mean CD of MVLA-GR / BP at {interval:g}° and {snr:g} dB, optimal thresholds"))
-    if "total_s" in run:
+    if isinstance(run.get("total_s"), int | float):
         keys.append((f"{run['total_s'] / 60:.1f} min", "to run all of it" + (" (quick)" if run.get("quick") else "")))
     return Section("Key figures", keys=keys, warning=unfinished)
 
@@ -272,8 +273,10 @@ def _record(folder: Path) -> Section:
     texts = {}
     for file in sorted(folder.glob(f"*/{RECORD}")):
         texts[f"Settings and provenance of {file.parent.name}"] = pretty(_json(file))
-    seconds = pd.DataFrame(list(run.get("seconds", {}).items()), columns=["experiment", "seconds"])
-    tables = [table_html(seconds, f"Run times, {run.get('total_s', 0):.0f} s in all")] if len(seconds) else []
+    spent = run.get("seconds")
+    seconds = pd.DataFrame(list(spent.items()) if isinstance(spent, dict) else [], columns=["experiment", "seconds"])
+    total = f", {run['total_s']:.0f} s in all" if isinstance(run.get("total_s"), int | float) else ""
+    tables = [table_html(seconds, f"Run times{total}")] if len(seconds) else []
     return Section("How it was made", "" if texts else "No record.", tables=tables, folded=texts)
 
 

@@ -167,7 +167,7 @@ def _describe_one(item: ErrorDetails, model: type[BaseModel]) -> str:
     value = item.get("input")
     shown = "" if isinstance(value, dict | list) else f" = {value!r}"
     if item["type"] == "extra_forbidden":
-        allowed = sorted(parent.model_fields) if parent else []
+        allowed = sorted(field.alias or name for name, field in parent.model_fields.items()) if parent else []
         close = difflib.get_close_matches(str(item["loc"][-1]), allowed, n=1)
         hint = f" (did you mean '{close[0]}'?)" if close else ""
         return f"{path}: unknown key{hint}" + (f"; allowed: {', '.join(allowed)}" if allowed else "")

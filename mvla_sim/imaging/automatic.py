@@ -43,7 +43,8 @@ def automatic_thresholds(
     Parameters
     ----------
     score
-        Image, ``[nz, ny, nx]`` or flattened; what is not above 0 is never retained.
+        Image, ``[nz, ny, nx]`` or flattened; what is not above 0 is never retained or, where nothing is above 0 (as of
+        logarithms), what is lowest.
     support_deg
         Θ_n of the same shape, degrees; None for methods without it.
     grid
@@ -54,19 +55,17 @@ def automatic_thresholds(
     Raises
     ------
     DataError
-        The image is the same everywhere, or nowhere above 0, so that there is nothing to choose; or not finite.
+        The image is the same everywhere, so that there is nothing to choose; or not finite.
     """
     flat = np.asarray(score).ravel()
     for name, values in (("score", flat), ("angular support", support_deg)):
         if values is not None and not np.isfinite(values).all():
             raise DataError(f"threshold = 'auto': the {name} is not finite everywhere; give top_percent instead")
-    if not flat.max() > max(0.0, float(flat.min())):
-        raise DataError(
-            "threshold = 'auto': the image is the same everywhere or nowhere above 0; give top_percent instead"
-        )
+    if flat.max() == flat.min():
+        raise DataError("threshold = 'auto': the image is the same everywhere; give top_percent instead")
     order = rank_order(flat)
     support = 0.0
-    passing = flat[order] > 0
+    passing = flat[order] > (0 if flat.max() > 0 else flat.min())
     if support_deg is not None:
         theta = np.asarray(support_deg).ravel()[order]
         support = min(LEAST_SUPPORT_DEG, float(theta[passing].max()) / 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Final
 
@@ -24,6 +25,7 @@ WAYS: Final = {
     "automatic": "fair-auto",
 }
 """Experiments by the way in which they choose thresholds."""
+AXES: Final = ("interval_deg", "snr_db", "offset", "seed")
 NEEDED: Final = ("status", "scene", "method", "interval_deg", "cd_db")
 
 
@@ -37,6 +39,7 @@ def fair_table(
     tables
         Rows by the way's name, as in :data:`WAYS`; every one has ``scene``, ``method``, ``interval_deg`` and ``cd_db``.
         A column ``ap_…cm`` of the first is taken as well.
+        Only intervals, SNRs, offsets and seeds that are in all of them count.
     scene
         The scene that counts.
     least_interval_deg
@@ -52,16 +55,23 @@ def fair_table(
     Raises
     ------
     DataError
-        No table, one without a column that is needed, or no finished case of the scene in one of them.
+        No table, one without a column that is needed, or no finished case of the scene that all of them have.
     """
     if not tables:
         raise DataError("fair thresholds: no table")
-    columns: dict[str, pd.Series[float]] = {}
-    lacking: pd.Series[int] | None = None
     for name, table in tables.items():
         if missing := [column for column in NEEDED if column not in table]:
             raise DataError(f"fair thresholds: the table of {name} lacks the column {missing[0]}")
-        wanted = table[(table["scene"] == scene) & (table["interval_deg"] >= least_interval_deg)]
+    axes = [axis for axis in AXES if all(axis in table for table in tables.values())]
+    asked = {
+        name: table[(table["scene"] == scene) & (table["interval_deg"] >= least_interval_deg)].set_index(axes)
+        for name, table in tables.items()
+    }
+    common = functools.reduce(pd.Index.intersection, (table.index.unique() for table in asked.values()))
+    columns: dict[str, pd.Series[float]] = {}
+    lacking: pd.Series[int] | None = None
+    for name, table in asked.items():
+        wanted = table[table.index.isin(common)]
         finite = wanted[(wanted["status"] == "done") & np.isfinite(wanted["cd_db"].astype(float))]
         if finite.empty:
             raise DataError(f"fair thresholds: no finished case of {scene} in {name}")

@@ -163,7 +163,10 @@ class DaskCluster(Cluster):
         return shared.kept
 
     def _landed(self, flights: dict[int, _Flight]) -> list[tuple[_Flight, Finished | None]]:
-        """Wait half a second for tasks to end; None in place of a result that is still to come from another worker."""
+        """Wait half a second for tasks to end; None in place of a result that is still to come from another worker.
+
+        A result that has died with the worker that held it is one of these.
+        """
         ended: list[_Flight] = []
         with contextlib.suppress(queue.Empty):
             attempt, future = self._events.get(timeout=WAIT_S)
@@ -174,11 +177,16 @@ class DaskCluster(Cluster):
                     else:
                         ended.append(flights.pop(attempt))
                 attempt, future = self._events.get_nowait()
-        if any(flight.future.status in ("cancelled", "lost") for flight in ended):
+        gone = [flight for flight in ended if flight.future.status == "lost"]
+        if gone:
+            self._check_alive()
+            ended = [flight for flight in ended if flight not in gone]
+        if any(flight.future.status == "cancelled" for flight in ended):
             raise self._lost()
         with self._reaching():
             replies = self._collected([flight.future for flight in ended])
         outcomes = [(flight, self._judge(flight, reply)) for flight, reply in zip(ended, replies, strict=True)]
+        outcomes += [(flight, None) for flight in gone]
         for flight, _ in outcomes:
             flight.future = None
         return outcomes

@@ -164,6 +164,32 @@ def test_what_is_half_stored_is_left_out(results):
     assert "Backprojection" in sections["Which ingredient brings how much"].tables[0]
 
 
+def test_only_cases_that_all_ways_have_are_compared():
+    """Held-out thresholds at 5° alone are compared with the oracle's at 5°, not with its mean over 5° and 20°."""
+    found = ways()
+    found["held out: averages"] = rows({"mvla-gr": -5.0, "bp": -8.0}).query("interval_deg == 5")
+    table = fair_table(found)
+    assert table.loc["mvla-gr", ["oracle", "held out: averages"]].tolist() == [-19.0, -4.0]
+    found["held out: averages"] = rows({"mvla-gr": -5.0}).assign(interval_deg=10.0)
+    with pytest.raises(DataError, match="no finished case of star in oracle"):
+        fair_table(found)
+
+
+def test_a_report_of_them_alone_is_written(results):
+    """Nothing of the paper is stored, and the record of the run is no record."""
+    (results / "run.json").write_text('{"total_s": "x", "seconds": 3}')
+    text = write_report(results).read_text(encoding="utf-8")
+    assert "Methods under fair thresholds" in text
+    assert "AP 10 cm" in text
+
+
+def test_a_damaged_table_is_named_before_anything_is_written(results):
+    (results / "fair-leastmean" / "table.csv").write_text("garbage")
+    with pytest.raises(DataError, match=r"fair-leastmean.table\.csv"):
+        write_report(results)
+    assert not (results / "claims.csv").exists()
+
+
 def test_a_damaged_leaderboard_is_named(results):
     (results / "benchmark-small" / "leaderboard.csv").write_text("a,b\n1,2\n")
     with pytest.raises(DataError, match=r"leaderboard\.csv: not a leaderboard"):
