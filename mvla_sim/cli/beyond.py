@@ -15,7 +15,7 @@ from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
 from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.report.ablation import ablation_table, plot_ablation
-from mvla_sim.report.fair import WAYS, automatic_cost, fair_table, plot_fair
+from mvla_sim.report.fair import EXPLAINED, WAYS, automatic_cost, fair_table, plot_fair
 from mvla_sim.report.page import Section, table_html
 from mvla_sim.report.robustness import plot_robustness
 from mvla_sim.report.style import png_bytes, save_figure
@@ -35,23 +35,13 @@ ROBUSTNESS: Final = {
 """Experiments on robustness, and what is seen in them."""
 
 
-WHAT: Final = {
-    "oracle": "Oracle: each case's own best thresholds.",
-    "calibrated": "Calibrated: averages of the target's own optimal ones, per SNR, as in the paper.",
-    "held out: averages": "Held out: from other targets alone, as averages of their optimal ones.",
-    "held out: least mean": "Held out, least mean: the one pair with the least mean CD over other targets.",
-    "automatic": "Automatic: from each image, without a truth.",
-}
-"""What each way to choose thresholds is."""
-
-
 def sections_beyond(folder: Path) -> list[Section]:
     """Build the sections whose experiments are stored in a folder of results; write ``fair.csv``, ``automatic.csv``.
 
     Raises
     ------
     DataError
-        A table cannot be read, or has no finished case.
+        A table or the leaderboard cannot be read.
     OutputError
         The folder cannot be written.
     """
@@ -90,7 +80,7 @@ def _fair(folder: Path) -> Iterator[Section]:
     text = " ".join(
         (
             f"Mean CD in dB(m²) on the {FAIR_SCENE}, Δθ from {FAIR_LEAST_DEG:g}°, and each method's rank.",
-            *(WHAT[way] for way in tables),
+            *(EXPLAINED[way] for way in tables),
             "The area under precision and recall (AP) needs no thresholds.",
         )
     )

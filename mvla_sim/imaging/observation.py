@@ -124,7 +124,7 @@ class Observation:
         return np.asarray(np.mean(distances, axis=0), np.float64)
 
     def project(self, profiles: RangeProfiles) -> Projection:
-        """Project range profiles, one a view, onto the grid: sums and, with distances, angular support."""
+        """Project range profiles, one a view, onto the grid: sums and, with the ranges of peaks, angular support."""
         return project(self.grid, self.views, profiles, beam=self.beam)
 
     def select(self, indices: NDArray[np.intp]) -> Observation:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.methods.registry import title_of
-from mvla_sim.report.style import COLORS, MAPS, SINGLE_COLUMN_IN, figure_style, new_figure
+from mvla_sim.report.style import COLORS, MAPS, SINGLE_COLUMN_IN, figure_style, legend_columns, new_figure
 
 __all__ = ["plot_curves"]
 
@@ -113,9 +113,7 @@ def plot_curves(
                 line.set_label(_group_label(value, style_format))
                 handles.append(line)
         if handles:
-            longest = max(len(str(handle.get_label())) for handle in handles)
-            fitting = max(1, int(width_in * 20 / (longest + 6)))  # about 20 letters an inch, 6 for the line
-            figure.legend(handles=handles, loc="outside upper center", ncols=min(fitting, len(handles)))
+            figure.legend(handles=handles, loc="outside upper center", ncols=legend_columns(figure, handles))
         if title:
             axes.set_title(title)
     return figure

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.report.curves import LINE_COLORS, MARKERS
-from mvla_sim.report.style import DOUBLE_COLUMN_IN, figure_style, new_figure
+from mvla_sim.report.style import DOUBLE_COLUMN_IN, figure_style, legend_columns, new_figure
 
-__all__ = ["WAYS", "automatic_cost", "fair_table", "plot_fair"]
+__all__ = ["EXPLAINED", "WAYS", "automatic_cost", "fair_table", "plot_fair"]
 
 WAYS: Final = {
     "oracle": "fair-thresholds",
@@ -25,6 +25,14 @@ WAYS: Final = {
     "automatic": "fair-auto",
 }
 """Experiments by the way in which they choose thresholds."""
+EXPLAINED: Final = {
+    "oracle": "Oracle: each case's own best thresholds.",
+    "calibrated": "Calibrated: averages of the target's own optimal ones, per SNR, as in the paper.",
+    "held out: averages": "Held out: from other targets alone, as averages of their optimal ones.",
+    "held out: least mean": "Held out, least mean: the one pair with the least mean CD over other targets.",
+    "automatic": "Automatic: from each image, without a truth.",
+}
+"""What each of these ways is."""
 AXES: Final = ("interval_deg", "snr_db", "offset", "seed")
 NEEDED: Final = ("status", "scene", "method", "interval_deg", "cd_db")
 
@@ -152,5 +160,6 @@ def plot_fair(table: pd.DataFrame) -> Figure:
         for panel in panels:
             panel.set_axisbelow(True)
             panel.grid(visible=True, axis="x")
-        figure.legend(loc="outside upper center", ncols=len(ways))
+        keys = panels[0].get_legend_handles_labels()[0]
+        figure.legend(handles=keys, loc="outside upper center", ncols=legend_columns(figure, keys))
     return figure

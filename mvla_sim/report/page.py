@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import io
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from PIL import Image
 
 from mvla_sim.files import atomic_output
 
@@ -143,8 +145,7 @@ def _section(section: Section) -> str:
     for shown, caption in section.figures:
         pictures = [(shown.read_bytes(), caption)] if isinstance(shown, Path) else shown
         images = "".join(
-            f'<img src="data:image/png;base64,{base64.b64encode(data).decode("ascii")}" alt="{html.escape(alt)}">'
-            for data, alt in pictures
+            f'<img src="data:image/png;base64,{_embedded(data)}" alt="{html.escape(alt)}">' for data, alt in pictures
         )
         kind = "one" if isinstance(shown, Path) else "many"
         parts.append(
@@ -154,6 +155,14 @@ def _section(section: Section) -> str:
     for title, text in section.folded.items():
         parts.append(f"<details><summary>{html.escape(title)}</summary><pre>{html.escape(text)}</pre></details>")
     return "\n".join(parts)
+
+
+def _embedded(png: bytes) -> str:
+    """A PNG in 256 colours of its own, a third of the size and hardly to be told apart, in Base64."""
+    small = io.BytesIO()
+    with Image.open(io.BytesIO(png)) as picture:
+        picture.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+    return base64.b64encode(small.getvalue()).decode("ascii")
 
 
 def _cell(value: Any, digits: int, name: object) -> str:

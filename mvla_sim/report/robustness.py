@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.report.curves import DASHES, LINE_COLORS, MARKERS
-from mvla_sim.report.style import DOUBLE_COLUMN_IN, figure_style, new_figure
+from mvla_sim.report.style import DOUBLE_COLUMN_IN, figure_style, legend_columns, new_figure
 
 __all__ = ["SWEPT", "plot_robustness", "robustness_curves"]
 
@@ -102,7 +102,7 @@ def plot_robustness(
             Line2D([], [], color=_color(number), ls=_dash(number), marker=_marker(number), label=title_of(method))
             for number, method in enumerate(methods)
         ]
-        figure.legend(handles=keys, loc="outside lower center", ncols=min(len(keys), 2 * columns))
+        figure.legend(handles=keys, loc="outside lower center", ncols=legend_columns(figure, keys))
         figure.align_ylabels(panels[:, 0])
         if title:
             figure.suptitle(title)

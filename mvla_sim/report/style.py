@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -24,6 +25,7 @@ __all__ = [
     "PNG_DPI",
     "SINGLE_COLUMN_IN",
     "figure_style",
+    "legend_columns",
     "new_figure",
     "png_bytes",
     "save_figure",
@@ -109,6 +111,13 @@ def new_figure(width_in: float, height_in: float, *, constrained: bool = True) -
     figure = Figure(figsize=(width_in, height_in), layout="constrained" if constrained else None)
     FigureCanvasAgg(figure)
     return figure
+
+
+def legend_columns(figure: Figure, handles: Sequence[Artist]) -> int:
+    """Number of columns, at least one, of a legend of these handles that fits beside each other into a figure."""
+    longest = max(len(str(handle.get_label())) for handle in handles)
+    fitting = int(figure.get_figwidth() * 20 / (longest + 6))  # about 20 letters an inch, 6 for the line
+    return max(1, min(fitting, len(handles)))
 
 
 def png_bytes(figure: Figure) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,9 +11,11 @@ import pytest
 
 from mvla_sim.cli.beyond import sections_beyond
 from mvla_sim.cli.report import write_report
+from mvla_sim.config.experiment import load_experiment
 from mvla_sim.errors import DataError
+from mvla_sim.imaging.methods.registry import phase_free_methods
 from mvla_sim.report.ablation import BESIDE, LADDER
-from mvla_sim.report.fair import WAYS, automatic_cost, fair_table, plot_fair
+from mvla_sim.report.fair import EXPLAINED, WAYS, automatic_cost, fair_table, plot_fair
 
 
 def rows(levels, scenes=("circle", "star"), **more):
@@ -87,6 +90,18 @@ def test_the_cost_of_not_knowing_the_truth_is_a_mean_over_the_same_cases():
     assert automatic_cost(*more).loc["mvla-gr"].tolist() == [3.0, 4.0, 3.5]  # not of one offset against the other
     automatic.loc[(automatic["method"] == "bp") & (automatic["scene"] == "star"), "status"] = "failed"
     assert np.isnan(automatic_cost(optimal, automatic).loc["bp", "mean"])  # not the mean of fewer scenes
+
+
+def test_every_way_is_explained_and_has_its_experiment():
+    assert set(EXPLAINED) == set(WAYS)
+    folder = Path(__file__).parents[2] / "experiments"
+    settings = {way: load_experiment(folder / f"{name}.toml") for way, name in WAYS.items()}
+    assert len({one.axes["method"] for one in settings.values()}) == 1  # all compare the same methods
+    assert set(settings["oracle"].axes["method"]) == set(phase_free_methods())
+    assert settings["oracle"].evaluation.threshold_map
+    assert settings["automatic"].evaluation.threshold == "auto"
+    for way in ("held out: averages", "held out: least mean"):
+        assert "star" not in settings[way].calibration.scenes
 
 
 def stored(folder, name, table):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import itertools
 import json
 import re
@@ -10,8 +11,10 @@ import shutil
 import subprocess
 from html.parser import HTMLParser
 
+import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 
 from mvla_sim.cli.report import write_report
 from mvla_sim.errors import DataError
@@ -210,9 +213,19 @@ def test_a_browser_shows_the_report_at_phone_width(results, tmp_path):
 
 
 def test_pictures_are_part_of_the_page(tmp_path):
+    """In few colours: a smooth picture takes a fraction of its own size, and no colour is far from what it was."""
+    x = np.tile(np.linspace(0, 255, 200), (150, 1))
+    noise = np.random.default_rng(0).integers(0, 4, (150, 200, 3))
+    pixels = (np.clip(np.stack([x, 255 - x, 0.3 * x], -1), 0, 251) + noise).astype(np.uint8)
     picture = tmp_path / "one.png"
-    picture.write_bytes(b"\x89PNG...")
+    Image.fromarray(pixels).save(picture)
+    size = picture.stat().st_size
     page = write_page(tmp_path / "p.html", "T & T", "lead", [Section("S", figures=[(picture, 'a "quoted" caption')])])
     picture.unlink()
     reader = read(page)
     assert reader.images[0]["alt"] == 'a "quoted" caption'
+    embedded = base64.b64decode(reader.images[0]["src"].removeprefix("data:image/png;base64,"))
+    assert len(embedded) < 0.7 * size
+    shown = np.asarray(Image.open(io.BytesIO(embedded)).convert("RGB"), int)
+    assert shown.shape == pixels.shape
+    assert np.abs(shown - pixels).mean() < 4

@@ -134,3 +134,19 @@ def test_a_scene_is_drawn_alone():
     two = pd.concat([table(), table().assign(scene="box", cd_db=-3.0)])
     pd.testing.assert_frame_equal(robustness_curves(two, scene="star"), robustness_curves(table()))
     assert set(robustness_curves(two, scene="box")["cd_db"]) == {-3.0}
+
+
+@pytest.mark.parametrize("names", [1, 2, 7])
+def test_the_legend_of_five_methods_fits_into_the_figure(names):
+    """With few panels the figure is narrow; long titles then stand beneath each other instead of being cut off."""
+    kept = list(LEVELS)[:names]
+    part = table()
+    part = part[[robust for robust in part if not robust.startswith(BLOCK) or robust.split(".")[2] in kept]]
+    methods = ("mvla-gr", "mvla-em", "bp-normalised", "bp-coherent", "rpm")
+    few = part[(part["method"] == "bp") & (part["seed"] == 0)].drop_duplicates(part.columns[part.columns != "cd_db"])
+    figure = plot_robustness(pd.concat([few.assign(method=name) for name in methods]), scene="star")
+    figure.draw_without_rendering()
+    box, whole = figure.legends[0].get_window_extent(), figure.bbox
+    assert whole.x0 <= box.x0
+    assert box.x1 <= whole.x1
+    assert len(figure.legends[0].get_texts()) == len(methods)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import cluster_tasks as tasks
 import pandas as pd
@@ -141,6 +142,21 @@ def test_only_the_task_that_kills_its_workers_is_given_up(tmp_path):
         again = dict(cluster.run(tasks.die_once, [(n, 3, str(tmp_path / "mark")) for n in range(6)], label="once"))
         assert [again[n].value for n in range(6)] == list(range(6))
         assert again[3].deaths == 1
+
+
+def test_a_result_that_dies_with_its_worker_is_made_again():
+    """Dask calls it lost; the run goes on, and no death is laid on the task."""
+    with open_cluster(1) as cluster:
+        cluster.start()
+        flight = module._Flight(0, ())
+        flight.future = SimpleNamespace(status="lost")
+        cluster._events.put((77, flight.future))
+        assert cluster._landed({77: flight}) == [(flight, None)]
+        assert (flight.deaths, cluster.deaths) == (0, 0)
+        flight.future = SimpleNamespace(status="cancelled")  # as when the scheduler is gone
+        cluster._events.put((78, flight.future))
+        with pytest.raises(RuntimeUnfitError, match="the connection is lost"):
+            cluster._landed({78: flight})
 
 
 @pytest.mark.parametrize(
