@@ -36,27 +36,27 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mvla_sim.channel.cir import Cir
     from mvla_sim.channel.components import Components
-    from mvla_sim.channel.files import load_channel
-    from mvla_sim.channel.importers.build import import_channel
+    from mvla_sim.channel.loading import load_channel
+    from mvla_sim.channel.readers.import_settings import import_settings
+    from mvla_sim.channel.readers.importing import import_channel
     from mvla_sim.channel.response import FrequencyResponse
     from mvla_sim.channel.simulate import simulate
     from mvla_sim.channel.synthesis import synthesize, write_campaign
-    from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings, imaging_settings
-    from mvla_sim.config.importing import import_settings
-    from mvla_sim.config.process import load_process
     from mvla_sim.dataset.access import open_dataset
     from mvla_sim.dataset.build import build_dataset
     from mvla_sim.dataset.score import score_dataset
     from mvla_sim.errors import MvlaError
+    from mvla_sim.evaluation.boxes import bounding_box
     from mvla_sim.evaluation.evaluate import evaluate
-    from mvla_sim.evaluation.process import process
-    from mvla_sim.evaluation.shape import bounding_box
-    from mvla_sim.imaging.export import export_image
     from mvla_sim.imaging.image import Image
+    from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings, imaging_settings
     from mvla_sim.imaging.observation import Observation
     from mvla_sim.imaging.pipeline import reconstruct
-    from mvla_sim.report.figures import plot_comparison, plot_image, plot_scene
-    from mvla_sim.report.style import save_figure
+    from mvla_sim.imaging.volumes import export_image
+    from mvla_sim.measured.process import process
+    from mvla_sim.measured.process_settings import load_process
+    from mvla_sim.plot.figures import plot_comparison, plot_image, plot_scene
+    from mvla_sim.plot.style import save_figure
     from mvla_sim.scene.world import Scene
 
 __version__ = "0.1.0"
@@ -64,29 +64,29 @@ __version__ = "0.1.0"
 _HOMES = {
     "Cir": "channel.cir",
     "Components": "channel.components",
-    "EvaluationSettings": "config.imaging",
+    "EvaluationSettings": "imaging.imaging_settings",
     "FrequencyResponse": "channel.response",
     "Image": "imaging.image",
-    "ImagingSettings": "config.imaging",
+    "ImagingSettings": "imaging.imaging_settings",
     "MvlaError": "errors",
     "Observation": "imaging.observation",
     "Scene": "scene.world",
-    "bounding_box": "evaluation.shape",
+    "bounding_box": "evaluation.boxes",
     "build_dataset": "dataset.build",
     "evaluate": "evaluation.evaluate",
-    "export_image": "imaging.export",
-    "imaging_settings": "config.imaging",
-    "import_channel": "channel.importers.build",
-    "import_settings": "config.importing",
-    "load_channel": "channel.files",
-    "load_process": "config.process",
+    "export_image": "imaging.volumes",
+    "imaging_settings": "imaging.imaging_settings",
+    "import_channel": "channel.readers.importing",
+    "import_settings": "channel.readers.import_settings",
+    "load_channel": "channel.loading",
+    "load_process": "measured.process_settings",
     "open_dataset": "dataset.access",
-    "plot_comparison": "report.figures",
-    "plot_image": "report.figures",
-    "plot_scene": "report.figures",
-    "process": "evaluation.process",
+    "plot_comparison": "plot.figures",
+    "plot_image": "plot.figures",
+    "plot_scene": "plot.figures",
+    "process": "measured.process",
     "reconstruct": "imaging.pipeline",
-    "save_figure": "report.style",
+    "save_figure": "plot.style",
     "score_dataset": "dataset.score",
     "simulate": "channel.simulate",
     "synthesize": "channel.synthesis",

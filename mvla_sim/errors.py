@@ -14,19 +14,19 @@ class MvlaError(Exception):
     exit_code = 2
 
 
-class ConfigError(MvlaError):
+class ConfigError(MvlaError, ValueError):
     """A setting is unknown, of the wrong type, or outside what is allowed."""
 
 
-class DataError(MvlaError):
+class DataError(MvlaError, ValueError):
     """An input file or array cannot be used: missing, truncated, of another schema, or physically impossible."""
 
 
-class OutputError(MvlaError):
+class OutputError(MvlaError, OSError):
     """An output cannot be written: read-only, disk full, or not a place for files."""
 
 
-class RuntimeUnfitError(MvlaError):
+class RuntimeUnfitError(MvlaError, RuntimeError):
     """This machine cannot run the compiled kernels as it is set up; the message says what mends it."""
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from mvla_sim.errors import DataError, OutputError
-from mvla_sim.runtime.interrupt import interruptible
+from mvla_sim.interrupt import interruptible
 
 __all__ = ["atomic_output", "check_writable", "existing_file"]
 
@@ -36,6 +36,8 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
             os.umask(umask)
             temporary.chmod(0o666 & ~umask)
             temporary.replace(target)
+        except OutputError:
+            raise
         except OSError as error:
             raise OutputError(_reason(target, error)) from error
         finally:
@@ -56,9 +58,9 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 
 def _temporary_beside(target: Path) -> Path:
     """Make an empty file beside ``target``, with its suffix."""
+    if os.path.isdir(target):  # noqa: PTH112 - Path.is_dir raises where a folder on the way may not be searched
+        raise OutputError(f"{target}: is a folder; give the name of a file")
     try:
-        if target.is_dir():
-            raise OutputError(f"{target}: is a folder; give the name of a file")
         handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
     except OSError as error:
         raise OutputError(_reason(target, error)) from error

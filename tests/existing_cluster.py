@@ -12,7 +12,7 @@ from pathlib import Path
 
 import psutil
 
-from mvla_sim.runtime.cache import VARIABLE
+from mvla_sim.engine.cache import VARIABLE
 
 
 class Existing:

@@ -103,7 +103,7 @@ def _target(name: str) -> Any:
 
 def _load(engine: str) -> None:
     """Load what the work computes with, on one thread."""
-    from mvla_sim.runtime import backend  # noqa: PLC0415 - only where something is measured
+    from mvla_sim.engine import backend  # noqa: PLC0415 - only where something is measured
 
     if engine == "tracer":
         backend.activate_sionna()

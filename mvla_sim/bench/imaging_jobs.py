@@ -10,13 +10,13 @@ import numpy as np
 from mvla_sim.bench.child import Job
 from mvla_sim.bench.inputs import EXTENT_M, ring
 from mvla_sim.channel.cir import INTERACTIONS, Cir
-from mvla_sim.config.imaging import imaging_settings
 from mvla_sim.constants import range_to_delay
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import imaging_settings
 from mvla_sim.imaging.mvla import kernel_scales, likelihood_profiles
 from mvla_sim.imaging.noise import add_noise
 from mvla_sim.imaging.pdp import Pdp, compute_pdp
 from mvla_sim.imaging.peaks import extract_peaks
-from mvla_sim.scene.grid import VoxelGrid
 
 __all__ = ["FrontEndJob"]
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from mvla_sim.errors import RuntimeUnfitError
-from mvla_sim.runtime.interrupt import interruptible
+from mvla_sim.interrupt import interruptible
 
 __all__ = ["ALONE", "Engine", "Measured", "Memory", "Work", "measure", "memory_of"]
 

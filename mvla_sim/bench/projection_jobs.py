@@ -6,7 +6,7 @@ import numpy as np
 
 from mvla_sim.bench.child import Job
 from mvla_sim.bench.inputs import RESOLUTION_M, grid_of, ring
-from mvla_sim.config.imaging import ImagingSettings
+from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.projection import RangeProfiles, project
 
 __all__ = ["ProjectionJob"]

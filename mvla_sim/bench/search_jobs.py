@@ -9,10 +9,10 @@ from shapely import Polygon
 
 from mvla_sim.bench.child import Job
 from mvla_sim.bench.inputs import grid_of, scene_settings
-from mvla_sim.config.scene import Star
 from mvla_sim.evaluation.ground_truth import TruthGeometry, rasterize
 from mvla_sim.evaluation.tuning import optimal_thresholds
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.scene.scene_settings import Star
 from mvla_sim.scene.shapes import outline
 
 __all__ = ["SearchJob", "TruthJob"]

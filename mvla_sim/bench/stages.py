@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from mvla_sim.bench.measure import ALONE, Engine, Measured, Work, measure
 from mvla_sim.errors import ConfigError
-from mvla_sim.runtime.interrupt import interruptible
-from mvla_sim.runtime.progress import progress
+from mvla_sim.interrupt import interruptible
+from mvla_sim.progress import progress
 
 __all__ = ["SIZES", "STAGES", "Point", "Row", "Series", "measure_stages", "points_of", "series_of"]
 

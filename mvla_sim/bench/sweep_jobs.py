@@ -14,9 +14,9 @@ from mvla_sim.bench.child import Job
 from mvla_sim.bench.inputs import DEFAULT_RAYS
 from mvla_sim.bench.measure import memory_of
 from mvla_sim.channel.simulate import simulate
-from mvla_sim.config.base import parse
-from mvla_sim.config.experiment import ExperimentSettings
-from mvla_sim.runtime.cluster import open_cluster
+from mvla_sim.cluster.pool import open_cluster
+from mvla_sim.settings import parse
+from mvla_sim.sweep.experiment import ExperimentSettings
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.run import run_plan
 from mvla_sim.sweep.schedule import tasks_of

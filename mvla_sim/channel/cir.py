@@ -18,10 +18,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mvla_sim.channel.header import HEADER, check_radio, header_attributes, header_fields, header_variables
-from mvla_sim.config.antenna import AntennaSettings, Omni
 from mvla_sim.constants import delay_to_range
 from mvla_sim.errors import DataError, MvlaError
 from mvla_sim.netcdf import open_netcdf, write_netcdf
+from mvla_sim.scene.antenna_settings import AntennaSettings, Omni
 from mvla_sim.scene.views import Views
 
 __all__ = ["INTERACTIONS", "SCHEMA", "SCHEMA_VERSION", "Cir"]
@@ -214,10 +214,10 @@ class Cir:
                 row_size=dataset["row_size"].values.astype(np.int64),
                 **header_fields(dataset),
             )
-        except (ValueError, TypeError, shapely.GEOSException) as error:
-            raise DataError(f"{path}: not a readable CIR file ({error})") from error
         except MvlaError as error:
             raise DataError(f"{path}: {error}") from error
+        except (ValueError, TypeError, shapely.GEOSException) as error:
+            raise DataError(f"{path}: not a readable CIR file ({error})") from error
 
 
 def _flags(values: NDArray[Any]) -> NDArray[np.uint8]:

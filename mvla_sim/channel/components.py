@@ -13,9 +13,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mvla_sim.channel.header import HEADER, check_radio, header_attributes, header_fields, header_variables
-from mvla_sim.config.antenna import AntennaSettings, Omni
 from mvla_sim.errors import DataError, MvlaError
 from mvla_sim.netcdf import open_netcdf, write_netcdf
+from mvla_sim.scene.antenna_settings import AntennaSettings, Omni
 from mvla_sim.scene.views import Views
 
 __all__ = ["COMPONENT_SCHEMA", "Components"]
@@ -138,7 +138,7 @@ class Components:
                 row_size=dataset["row_size"].values.astype(np.int64),
                 **header_fields(dataset),
             )
-        except (ValueError, TypeError, IndexError, shapely.GEOSException) as error:
-            raise DataError(f"{path}: not a readable file of components ({error})") from error
         except MvlaError as error:
             raise DataError(f"{path}: {error}") from error
+        except (ValueError, TypeError, IndexError, shapely.GEOSException) as error:
+            raise DataError(f"{path}: not a readable file of components ({error})") from error

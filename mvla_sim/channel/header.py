@@ -10,12 +10,12 @@ import numpy as np
 import shapely
 import xarray as xr
 
-from mvla_sim.config.antenna import AntennaSettings, Omni
-from mvla_sim.config.base import Settings, parse
 from mvla_sim.errors import DataError
 from mvla_sim.netcdf import table_of
 from mvla_sim.scene.antenna import self_contained
+from mvla_sim.scene.antenna_settings import AntennaSettings, Omni
 from mvla_sim.scene.views import Views
+from mvla_sim.settings import Settings, parse
 
 __all__ = ["HEADER", "Described", "check_radio", "header_attributes", "header_fields", "header_variables"]
 

@@ -37,10 +37,10 @@ import shapely
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import INTERACTIONS
-from mvla_sim.config.scene import CustomMaterial, RayTracingSettings
+from mvla_sim.engine.backend import activate_sionna
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.runtime.backend import activate_sionna
 from mvla_sim.scene.antenna import Antenna, build_antenna
+from mvla_sim.scene.scene_settings import CustomMaterial, RayTracingSettings
 from mvla_sim.scene.world import Scene, SceneObject
 from mvla_sim.streams import Stream, stream
 

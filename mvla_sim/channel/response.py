@@ -13,10 +13,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mvla_sim.channel.header import HEADER, check_radio, header_attributes, header_fields, header_variables
-from mvla_sim.config.antenna import AntennaSettings, Omni
 from mvla_sim.constants import SPEED_OF_LIGHT
 from mvla_sim.errors import DataError, MvlaError
 from mvla_sim.netcdf import open_netcdf, write_netcdf
+from mvla_sim.scene.antenna_settings import AntennaSettings, Omni
 from mvla_sim.scene.views import Views
 
 __all__ = ["RESPONSE_SCHEMA", "FrequencyResponse"]
@@ -150,7 +150,7 @@ class FrequencyResponse:
                 step_hz=float(step),
                 **fields,
             )
-        except (ValueError, TypeError, IndexError, ZeroDivisionError, shapely.GEOSException) as error:
-            raise DataError(f"{path}: not a readable file of frequency responses ({error})") from error
         except MvlaError as error:
             raise DataError(f"{path}: {error}") from error
+        except (ValueError, TypeError, IndexError, ZeroDivisionError, shapely.GEOSException) as error:
+            raise DataError(f"{path}: not a readable file of frequency responses ({error})") from error

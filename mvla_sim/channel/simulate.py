@@ -15,13 +15,13 @@ import numpy as np
 from mvla_sim.channel import raytrace
 from mvla_sim.channel.cir import SCHEMA_VERSION, Cir
 from mvla_sim.channel.raytrace import ViewPaths, ViewTracer
-from mvla_sim.config.antenna import Omni
+from mvla_sim.engine.cache import cache_folder, discard, pull, push
+from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import DataError, MvlaError, OutputError
-from mvla_sim.runtime.cache import cache_folder, discard, pull, push
-from mvla_sim.runtime.interrupt import deferred_interrupt
-from mvla_sim.runtime.progress import progress
-from mvla_sim.runtime.provenance import provenance
+from mvla_sim.interrupt import deferred_interrupt
+from mvla_sim.progress import progress
 from mvla_sim.scene import antenna
+from mvla_sim.scene.antenna_settings import Omni
 from mvla_sim.scene.world import Scene
 
 __all__ = ["SimulationInterruptedError", "cache_file", "simulate"]

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.channel.importers.calibration import echo_gain
-from mvla_sim.channel.importers.touchstone import write_touchstone
+from mvla_sim.channel.readers.touchstone import write_touchstone
+from mvla_sim.channel.references import echo_gain
 from mvla_sim.channel.response import FrequencyResponse
-from mvla_sim.config.synthesis import EchoSettings, SynthesisSettings
+from mvla_sim.channel.synthesis_settings import EchoSettings, SynthesisSettings
 from mvla_sim.constants import range_to_delay
 from mvla_sim.errors import ConfigError, DataError, OutputError
-from mvla_sim.runtime.memory import check_memory
+from mvla_sim.memory import check_memory
 from mvla_sim.scene.antenna import build_antenna
 from mvla_sim.streams import Stream, stream
 
@@ -94,7 +94,7 @@ def synthesize(cir: Cir, settings: SynthesisSettings) -> Campaign:
     In the order in which it happens: H_m(f) = Σ_i g_i exp(−j2π(f − f_c)τ_i), where g_i holds the phase at the carrier;
     plus leakage and static echoes, A·exp(−j2πf·2R/c); plus white circular noise of the receiver; times exp(jφ) of each
     sweep; times the gain and exp(−j2πf·τ) of the cables. The sphere stands on the axis of the antennas: it has the echo
-    of :func:`~mvla_sim.channel.importers.calibration.echo_gain` at the carrier times their peak gains.
+    of :func:`~mvla_sim.channel.references.echo_gain` at the carrier times their peak gains.
     """
     start = cir.carrier_hz - cir.bandwidth_hz / 2
     step = cir.bandwidth_hz / (settings.points - 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from mvla_sim.runtime.interrupt import end_on_interrupt
+from mvla_sim.interrupt import end_on_interrupt
 
 __all__ = ["main"]
 

@@ -12,7 +12,7 @@ from mvla_sim import __version__
 from mvla_sim.cli.datasets import dataset_app
 from mvla_sim.cli.options import CacheUrl, Output, Overrides, Scheduler, Workers, errors, note, out
 from mvla_sim.errors import ConfigError, MvlaError
-from mvla_sim.runtime.interrupt import INTERRUPTED
+from mvla_sim.interrupt import INTERRUPTED
 
 __all__ = ["app", "run"]
 
@@ -70,7 +70,7 @@ def _main(
 @app.command()
 def doctor() -> None:
     """Check this machine: backend, libLLVM, packages, memory, and a one-ray smoke trace."""
-    from mvla_sim.runtime.doctor import report
+    from mvla_sim.engine.doctor import report
 
     raise typer.Exit(report(out))
 
@@ -80,7 +80,7 @@ def settings() -> None:
     """List every setting with its default and meaning."""
     from rich.table import Table
 
-    from mvla_sim.config.listing import settings_of
+    from mvla_sim.cli.listing import settings_of
 
     for block, entries in settings_of().items():
         table = Table("key", "default", "meaning", title=f"{block} settings", title_justify="left")
@@ -127,7 +127,7 @@ def image(
     overrides: Overrides = None,
 ) -> None:
     """Reconstruct an image from a CIR file, or from imported data."""
-    from mvla_sim.config.imaging import imaging_settings
+    from mvla_sim.imaging.imaging_settings import imaging_settings
 
     _check_output(output, (".nc",))
     given = {
@@ -139,7 +139,7 @@ def image(
         "threshold": threshold,
     }
     settings = imaging_settings(overrides or [], **{k: v for k, v in given.items() if v is not None})
-    from mvla_sim.channel.files import load_channel
+    from mvla_sim.channel.loading import load_channel
     from mvla_sim.imaging.pipeline import reconstruct
 
     result = reconstruct(load_channel(cir_file), settings)
@@ -159,8 +159,8 @@ def evaluate(
     overrides: Overrides = None,
 ) -> None:
     """Score an image against its target: Chamfer distance, F1 and more, at given or at optimal thresholds."""
-    from mvla_sim.config.base import apply_overrides, parse
-    from mvla_sim.config.imaging import EvaluationSettings
+    from mvla_sim.imaging.imaging_settings import EvaluationSettings
+    from mvla_sim.settings import apply_overrides, parse
 
     if min_support is not None and top_percent is None:
         raise ConfigError(f"--min-support {min_support:g}: give --top-percent with it")
@@ -198,7 +198,7 @@ def plot(
     overrides: Overrides = None,
 ) -> None:
     """Draw a CIR file's PDP waterfall with its peaks, or images with their optimal reconstruction (PNG, PDF, SVG)."""
-    from mvla_sim.cli.pictures import draw
+    from mvla_sim.plot.pictures import draw
 
     _check_output(output, (".png", ".pdf", ".svg"))
     draw(files, output, overrides or [])
@@ -224,11 +224,11 @@ def run_experiment(
     Every finished case is stored at once, so a run can be stopped at any time and goes on when it is started again.
     Tables are written as CSV and as Parquet.
     """
-    from mvla_sim.cli.experiment import execute, show_plan
-    from mvla_sim.config.experiment import load_experiment
-    from mvla_sim.runtime.cache import shared_cache
-    from mvla_sim.runtime.cluster import open_cluster
-    from mvla_sim.runtime.machine import core_count
+    from mvla_sim.cluster.pool import open_cluster
+    from mvla_sim.engine.cache import shared_cache
+    from mvla_sim.engine.machine import core_count
+    from mvla_sim.paper.experiments import execute, show_plan
+    from mvla_sim.sweep.experiment import load_experiment
     from mvla_sim.sweep.plan import CASE_LIMIT, expand
 
     settings = load_experiment(experiment, overrides or [])
@@ -253,7 +253,7 @@ def import_data(
     overrides: Overrides = None,
 ) -> None:
     """Read measured data, or another program's paths, into a channel file (NetCDF-4) that mvla image takes."""
-    from mvla_sim.cli.measured import import_file
+    from mvla_sim.measured.command import import_file
 
     _check_output(output, (".nc",))
     import_file(source, output, settings, overrides or [], out)
@@ -266,7 +266,7 @@ def synthesize(
     overrides: Overrides = None,
 ) -> None:
     """Write a CIR as a laboratory's sweeps: noise, drifting phase, leakage, static echoes; one .s2p file a view."""
-    from mvla_sim.cli.measured import write_sweeps
+    from mvla_sim.measured.command import write_sweeps
 
     write_sweeps(cir_file, output, overrides or [], out)
 
@@ -278,7 +278,7 @@ def process(
     overrides: Overrides = None,
 ) -> None:
     """Measured data in one go: import, image, threshold, pictures, bounding box and, with a truth, scores."""
-    from mvla_sim.cli.measured import run_process
+    from mvla_sim.measured.command import run_process
 
     run_process(file, output, overrides or [], out)
 
@@ -289,8 +289,8 @@ def export(
     output: Output,
 ) -> None:
     """Export an image: .vtk (ParaView: scores, Θ, binary result) or .ply (surface of the binary result)."""
-    from mvla_sim.imaging.export import export_image
     from mvla_sim.imaging.image import Image
+    from mvla_sim.imaging.volumes import export_image
 
     _check_output(output, (".vtk", ".ply"))
     out.print(str(export_image(Image.load(image_file), output)), markup=False)
@@ -309,9 +309,9 @@ def reproduce(
     cache_url: CacheUrl = None,
 ) -> None:
     """Run every experiment of the paper that is not stored yet, judge its claims, and write the report."""
-    from mvla_sim.cli.reproduce import reproduce as run_all
-    from mvla_sim.runtime.cache import shared_cache
-    from mvla_sim.runtime.cluster import open_cluster
+    from mvla_sim.cluster.pool import open_cluster
+    from mvla_sim.engine.cache import shared_cache
+    from mvla_sim.paper.reproduce import reproduce as run_all
 
     with shared_cache(cache_url), open_cluster(workers, scheduler, note) as cluster:
         code = run_all(experiments, output, out, errors, quick=quick, cluster=cluster)
@@ -321,7 +321,7 @@ def reproduce(
 @app.command()
 def report(output: ResultsFolder = Path("results")) -> None:
     """Build figures, claims and the report page from stored results."""
-    from mvla_sim.cli.report import write_report
+    from mvla_sim.paper.report import write_report
 
     out.print(str(write_report(output)), markup=False)
 
@@ -355,7 +355,7 @@ def bench(
 def scene_show(scene: SceneFile, output: Output, overrides: Overrides = None) -> None:
     """Draw a scene's outline, trajectory and ground truth (PNG, PDF, SVG)."""
     _check_output(output, (".png", ".pdf", ".svg"))
-    from mvla_sim.cli.pictures import draw_scene
+    from mvla_sim.plot.pictures import draw_scene
 
     draw_scene(scene, output, overrides or [])
     out.print(str(output), markup=False)
@@ -365,7 +365,7 @@ def scene_show(scene: SceneFile, output: Output, overrides: Overrides = None) ->
 def scene_export(scene: SceneFile, output: Output, overrides: Overrides = None) -> None:
     """Write a scene as Mitsuba XML with PLY meshes, for ``sionna.rt.load_scene``."""
     _check_output(output, (".xml",))
-    from mvla_sim.scene.export import export_mitsuba
+    from mvla_sim.scene.mitsuba_xml import export_mitsuba
     from mvla_sim.scene.world import Scene
 
     out.print(str(export_mitsuba(Scene.load(scene, overrides or []), output)), markup=False)

@@ -11,15 +11,15 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
+from mvla_sim.bench.cost_tables import axis_tables, cost_lines, estimate_lines, frame, markdown
 from mvla_sim.bench.estimate import Campaign, Costs, Estimate, costs_from, estimate
 from mvla_sim.bench.measure import ALONE
 from mvla_sim.bench.stages import STAGES, Row, measure_stages, series_of
-from mvla_sim.bench.table import axis_tables, cost_lines, estimate_lines, frame, markdown
+from mvla_sim.engine.machine import core_count, cpu_name
+from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import OutputError
 from mvla_sim.files import atomic_output, check_writable
-from mvla_sim.runtime.interrupt import interruptible
-from mvla_sim.runtime.machine import core_count, cpu_name
-from mvla_sim.runtime.provenance import provenance
+from mvla_sim.interrupt import interruptible
 
 __all__ = ["bench", "write_bench"]
 

@@ -7,19 +7,19 @@ from pathlib import Path
 
 from rich.console import Console
 
-from mvla_sim.config.campaign import CampaignSettings, load_campaign
+from mvla_sim.cluster.pool import open_cluster
 from mvla_sim.dataset.access import BenchmarkDataset, open_dataset
 from mvla_sim.dataset.build import build_dataset
+from mvla_sim.dataset.campaign import CampaignSettings, load_campaign
 from mvla_sim.dataset.card import CARD, PICTURE, card_text, shown_samples
-from mvla_sim.dataset.estimate import estimate
-from mvla_sim.dataset.export import export_mat, export_npz
+from mvla_sim.dataset.dry_run import estimate
+from mvla_sim.dataset.exports import export_mat, export_npz
 from mvla_sim.dataset.verify import LEVEL, PLACE_M, verify
+from mvla_sim.engine.cache import shared_cache
 from mvla_sim.errors import ConfigError
 from mvla_sim.files import atomic_output
-from mvla_sim.report.dataset import plot_samples
-from mvla_sim.report.style import save_figure
-from mvla_sim.runtime.cache import shared_cache
-from mvla_sim.runtime.cluster import open_cluster
+from mvla_sim.plot.samples import plot_samples
+from mvla_sim.plot.style import save_figure
 
 __all__ = ["build", "check", "export_dataset", "write_card"]
 

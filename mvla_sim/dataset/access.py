@@ -15,12 +15,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.config.campaign import SPLITS, CampaignSettings
+from mvla_sim.dataset.campaign import SPLITS, CampaignSettings
 from mvla_sim.dataset.index import Index
 from mvla_sim.dataset.reader import ShardReader
 from mvla_sim.dataset.sample import split_of
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
 
 __all__ = ["BenchmarkDataset", "Sample", "open_dataset"]
 

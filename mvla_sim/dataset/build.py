@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from mvla_sim.channel.simulate import SimulationInterruptedError
-from mvla_sim.config.campaign import CampaignSettings, load_campaign
+from mvla_sim.cluster.pool import WORKER_DIED, Cluster, Finished, open_cluster
+from mvla_sim.dataset.campaign import CampaignSettings, load_campaign
 from mvla_sim.dataset.index import INDEX, FailedSample, Index, ShardEntry, file_sha256
 from mvla_sim.dataset.reader import ShardReader
 from mvla_sim.dataset.sample import check_room
@@ -30,9 +31,8 @@ from mvla_sim.dataset.shard import (
 )
 from mvla_sim.errors import DataError, MvlaError, OutputError, RuntimeUnfitError
 from mvla_sim.files import atomic_output, check_writable
-from mvla_sim.runtime.cluster import WORKER_DIED, Cluster, Finished, open_cluster
-from mvla_sim.runtime.interrupt import interruptible
-from mvla_sim.runtime.progress import Advance, progress
+from mvla_sim.interrupt import interruptible
+from mvla_sim.progress import Advance, progress
 from mvla_sim.sweep.case import flatten
 
 __all__ = ["BuildInterruptedError", "BuildResult", "build_dataset", "stored_shards"]

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from mvla_sim.config.campaign import SPLITS
 from mvla_sim.dataset.access import BenchmarkDataset
+from mvla_sim.dataset.campaign import SPLITS
 from mvla_sim.dataset.index import INDEX
 from mvla_sim.dataset.shard import SHARD_VERSION, shard_name
 

@@ -13,13 +13,13 @@ from typing import Annotated, Final
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, field_validator
 
-from mvla_sim.config.base import Settings, parse
-from mvla_sim.config.campaign import SPLITS, CampaignSettings
+from mvla_sim.dataset.campaign import SPLITS, CampaignSettings
 from mvla_sim.dataset.sample import splits_of
 from mvla_sim.dataset.shard import numbers_of, shard_name
+from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output, existing_file
-from mvla_sim.runtime.provenance import provenance
+from mvla_sim.settings import Settings, parse
 
 __all__ = ["INDEX", "INDEX_SCHEMA", "INDEX_VERSION", "Index", "ShardEntry", "file_sha256"]
 

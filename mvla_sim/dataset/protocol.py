@@ -15,16 +15,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.config.campaign import CampaignSettings
-from mvla_sim.config.imaging import ImagingSettings, ThresholdSettings, imaging_settings
 from mvla_sim.dataset.access import Sample
+from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.errors import ConfigError, MvlaError, reason
 from mvla_sim.evaluation.candidates import best_db, best_pair, chamfer_table, worst_db
 from mvla_sim.evaluation.ground_truth import TruthGeometry
 from mvla_sim.evaluation.metrics import Scores, score
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import ImagingSettings, ThresholdSettings, imaging_settings
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.imaging.threshold import joint_threshold
-from mvla_sim.scene.grid import VoxelGrid
 
 __all__ = [
     "DISTANCES_M", "PROTOCOL", "SNR_DB", "Attempt", "best_thresholds", "failed_metrics", "protocol_settings",

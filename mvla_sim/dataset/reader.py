@@ -19,9 +19,7 @@ import shapely
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.config.base import parse
-from mvla_sim.config.campaign import CampaignSettings
-from mvla_sim.config.scene import SceneSettings
+from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.dataset.shard import (
     OCCUPANCY,
     OPTIONAL,
@@ -37,8 +35,10 @@ from mvla_sim.dataset.shard import (
 from mvla_sim.errors import DataError, MvlaError
 from mvla_sim.evaluation.ground_truth import check_inside
 from mvla_sim.files import existing_file
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.scene.scene_settings import SceneSettings
 from mvla_sim.scene.views import Views
+from mvla_sim.settings import parse
 
 __all__ = ["ShardReader"]
 

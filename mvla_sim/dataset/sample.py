@@ -16,8 +16,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from mvla_sim.config.base import Settings, parse
-from mvla_sim.config.campaign import (
+from mvla_sim.dataset.campaign import (
     SPLITS,
     ArcCampaign,
     CampaignSettings,
@@ -31,14 +30,15 @@ from mvla_sim.config.campaign import (
     TriangleFamily,
     TurntableCampaign,
 )
-from mvla_sim.config.distributions import Choice, MaterialChoice, Uniform, WholeChoice, WholeUniform
-from mvla_sim.config.scene import ObjectSettings, SceneSettings
-from mvla_sim.config.trajectory import TrajectorySettings
 from mvla_sim.dataset.outlines import random_polygon, smooth_outline
+from mvla_sim.distributions import Choice, TextChoice, Uniform, WholeChoice, WholeUniform
 from mvla_sim.errors import ConfigError
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.scene.scene_settings import ObjectSettings, SceneSettings
 from mvla_sim.scene.shapes import outline
 from mvla_sim.scene.trajectory import build_views
+from mvla_sim.scene.trajectory_settings import TrajectorySettings
+from mvla_sim.settings import Settings, parse
 from mvla_sim.streams import Stream, stream
 
 __all__ = ["check_room", "draw_sample", "family_of", "split_of", "splits_of"]
@@ -131,7 +131,7 @@ def split_of(campaign: CampaignSettings, k: int) -> str:
 
     Examples
     --------
-    >>> from mvla_sim.config.campaign import CampaignSettings, SquareFamily
+    >>> from mvla_sim.dataset.campaign import CampaignSettings, SquareFamily
     >>> family = SquareFamily(name="squares", shape="square", size_m=2.0)
     >>> campaign = CampaignSettings(name="c", samples=10, families=(family,))
     >>> sorted(split_of(campaign, k) for k in range(10))[-1]
@@ -197,7 +197,7 @@ def _draw(distribution: Any, random: np.random.Generator) -> Any:
         return min(max(value, distribution.min), distribution.max)
     if isinstance(distribution, WholeUniform):
         return min(distribution.min + int(share * (distribution.max - distribution.min + 1)), distribution.max)
-    if isinstance(distribution, Choice | WholeChoice | MaterialChoice):
+    if isinstance(distribution, Choice | WholeChoice | TextChoice):
         return distribution.choices[_weighted(distribution.weights or (1.0,) * len(distribution.choices), share)]
     return distribution
 

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from mvla_sim.config.imaging import ImagingSettings, ThresholdSettings, split_method
+from mvla_sim.cluster.pool import Cluster, InProcess
 from mvla_sim.dataset.access import BenchmarkDataset, open_dataset
 from mvla_sim.dataset.protocol import (
     PROTOCOL,
@@ -22,14 +22,14 @@ from mvla_sim.dataset.protocol import (
     protocol_settings,
     score_sample,
 )
+from mvla_sim.engine.machine import program_version
+from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import atomic_output, check_writable
+from mvla_sim.imaging.imaging_settings import ImagingSettings, ThresholdSettings, split_method
 from mvla_sim.imaging.methods.registry import find_method, phase_free_methods
-from mvla_sim.runtime.cluster import Cluster, InProcess
-from mvla_sim.runtime.interrupt import interruptible
-from mvla_sim.runtime.machine import program_version
-from mvla_sim.runtime.progress import progress
-from mvla_sim.runtime.provenance import provenance
+from mvla_sim.interrupt import interruptible
+from mvla_sim.progress import progress
 
 __all__ = ["SCORES", "Entry", "Result", "load_results", "plan_entries", "score_dataset"]
 

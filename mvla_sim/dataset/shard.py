@@ -29,14 +29,14 @@ from rich.console import Console
 
 from mvla_sim.channel.cir import INTERACTIONS, Cir
 from mvla_sim.channel.simulate import SimulationInterruptedError, simulate
-from mvla_sim.config.campaign import CampaignSettings
+from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.dataset.sample import draw_sample, family_of, split_of
+from mvla_sim.engine.cache import cache_url
+from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import OutputError, RuntimeUnfitError, reason
 from mvla_sim.evaluation.ground_truth import rasterize
-from mvla_sim.runtime.cache import cache_url
-from mvla_sim.runtime.progress import Advance, progress
-from mvla_sim.runtime.provenance import provenance
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.progress import Advance, progress
 from mvla_sim.scene.world import Scene
 
 __all__ = [

@@ -18,8 +18,8 @@ from mvla_sim.dataset.reader import ShardReader
 from mvla_sim.dataset.sample import family_of, split_of
 from mvla_sim.dataset.shard import Made, make_sample, occupancy_of
 from mvla_sim.errors import ConfigError, DataError, MvlaError
-from mvla_sim.runtime.progress import progress
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.progress import progress
 from mvla_sim.streams import Stream, stream
 
 __all__ = ["Report", "unmatched_share", "verify"]

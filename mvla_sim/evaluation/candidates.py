@@ -10,13 +10,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.config.imaging import ThresholdSettings
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.metrics import decibel
 from mvla_sim.evaluation.tuning import TruthGeometry, chamfer_for_prefixes
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.imaging_settings import ThresholdSettings
 from mvla_sim.imaging.threshold import top_count
-from mvla_sim.scene.grid import VoxelGrid
 
 __all__ = [
     "SUPPORTS_DEG", "TOP_PERCENTS", "best_db", "best_pair", "chamfer_table", "pack_table", "unpack_table", "worst_db",

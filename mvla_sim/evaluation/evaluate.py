@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.config.imaging import EvaluationSettings
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.candidates import chamfer_table
 from mvla_sim.evaluation.ground_truth import check_inside, rasterize
@@ -18,6 +17,7 @@ from mvla_sim.evaluation.ranking import average_precision
 from mvla_sim.evaluation.tuning import Optimum, TruthGeometry, optimal_thresholds
 from mvla_sim.imaging.automatic import thresholds_of
 from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.imaging_settings import EvaluationSettings
 from mvla_sim.imaging.threshold import joint_threshold, top_count
 
 __all__ = ["Evaluation", "evaluate", "ground_truth"]

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt, label
 from shapely.geometry import MultiPolygon, Polygon
 
 from mvla_sim.errors import DataError
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
 
 __all__ = ["TruthGeometry", "check_inside", "rasterize", "whole_coordinates"]
 

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.ground_truth import whole_coordinates
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
 
 __all__ = ["Scores", "chamfer_db", "chamfer_of_sums", "decibel", "score"]
 

@@ -35,8 +35,8 @@ from scipy.spatial.distance import cdist
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.ground_truth import TruthGeometry, whole_coordinates
 from mvla_sim.evaluation.metrics import chamfer_of_sums, decibel
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.threshold import rank_order
-from mvla_sim.scene.grid import VoxelGrid
 
 __all__ = ["Optimum", "TruthGeometry", "chamfer_for_prefixes", "optimal_thresholds"]
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from mvla_sim.config.imaging import ThresholdSettings
 from mvla_sim.errors import DataError
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import ThresholdSettings
 from mvla_sim.imaging.threshold import rank_order
-from mvla_sim.scene.grid import VoxelGrid
 
 __all__ = ["automatic_thresholds", "thresholds_of"]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.config.antenna import AntennaSettings
-from mvla_sim.config.imaging import BeamSettings
+from mvla_sim.imaging.imaging_settings import BeamSettings
 from mvla_sim.scene.antenna import Antenna, build_antenna, local_angles
+from mvla_sim.scene.antenna_settings import AntennaSettings
 
 __all__ = ["Beam", "build_beam"]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.errors import ConfigError
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import Beam
 from mvla_sim.imaging.projection import _PER_LANE, RangeProfiles, _upload_tables, check_grid
-from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 
 __all__ = ["RangeOperator", "forward"]

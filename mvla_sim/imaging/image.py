@@ -14,8 +14,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError, MvlaError
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.netcdf import open_netcdf, table_of, write_netcdf
-from mvla_sim.scene.grid import VoxelGrid
 
 __all__ = ["SCHEMA", "SCHEMA_VERSION", "Image"]
 

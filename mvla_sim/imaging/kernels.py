@@ -14,7 +14,7 @@ import functools
 from dataclasses import dataclass
 from typing import Any
 
-from mvla_sim.runtime.backend import activate
+from mvla_sim.engine.backend import activate
 
 BACKEND = activate()
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.config.imaging import MvlaSettings
 from mvla_sim.errors import ConfigError
+from mvla_sim.imaging.imaging_settings import MvlaSettings
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import RangeProfiles
-from mvla_sim.runtime.memory import check_memory
+from mvla_sim.memory import check_memory
 
 __all__ = ["hard_profiles", "kernel_scales", "likelihood_profiles", "nearest_peak", "range_axis"]
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.config.imaging import NoiseSettings
 from mvla_sim.errors import ConfigError
+from mvla_sim.imaging.imaging_settings import NoiseSettings
 from mvla_sim.imaging.pdp import Pdp, frequency_count
 from mvla_sim.streams import Stream, stream
 

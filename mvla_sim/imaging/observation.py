@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.config.imaging import ImagingSettings
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import Beam
+from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import Projection, RangeProfiles, project
-from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 
 __all__ = ["Estimate", "FrontEnd", "Observation"]

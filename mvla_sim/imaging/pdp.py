@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.response import FrequencyResponse
-from mvla_sim.config.imaging import PdpSettings
 from mvla_sim.constants import range_resolution, range_to_delay
+from mvla_sim.dsp import Window
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.imaging.windows import Window
-from mvla_sim.runtime.memory import check_memory
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import PdpSettings
+from mvla_sim.memory import check_memory
 from mvla_sim.scene.views import Views
 
 __all__ = ["Pdp", "compute_pdp", "frequency_count", "gate_for"]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
-from mvla_sim.config.imaging import PeakSettings
 from mvla_sim.errors import DataError
+from mvla_sim.imaging.imaging_settings import PeakSettings
 from mvla_sim.imaging.pdp import Pdp
 
 __all__ = ["Peaks", "extract_peaks"]

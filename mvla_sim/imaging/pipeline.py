@@ -6,15 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.channel.components import Components
-from mvla_sim.channel.files import Channel
-from mvla_sim.channel.impair import assumed_views, impair_channel, remaining_views
+from mvla_sim.channel.impairments import assumed_views, impair_channel, remaining_views
+from mvla_sim.channel.loading import Channel
 from mvla_sim.channel.response import FrequencyResponse
-from mvla_sim.config.imaging import ImagingSettings, NoiseSettings, ViewSettings
 from mvla_sim.constants import range_resolution
+from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.automatic import thresholds_of
 from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.imaging_settings import ImagingSettings, NoiseSettings, ViewSettings
 from mvla_sim.imaging.methods.base import Method
 from mvla_sim.imaging.methods.registry import find_method
 from mvla_sim.imaging.noise import add_noise
@@ -23,8 +25,6 @@ from mvla_sim.imaging.pdp import compute_pdp, gate_for
 from mvla_sim.imaging.peaks import Peaks, extract_peaks
 from mvla_sim.imaging.projection import check_grid
 from mvla_sim.imaging.threshold import joint_threshold
-from mvla_sim.runtime.provenance import provenance
-from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 
 __all__ = ["check_peaks", "chosen_views", "front_end", "impaired", "reconstruct", "select_views"]

@@ -10,10 +10,10 @@ import psutil
 from numpy.typing import NDArray
 
 from mvla_sim.errors import ConfigError
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import Beam
-from mvla_sim.runtime.memory import USABLE, check_memory
+from mvla_sim.memory import USABLE, check_memory
 from mvla_sim.scene.antenna import STEP_DEG
-from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 
 __all__ = ["Projection", "RangeProfiles", "check_grid", "project"]

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from mvla_sim.dsp import Window
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import Beam
 from mvla_sim.imaging.forward import RangeOperator
 from mvla_sim.imaging.observation import Observation
 from mvla_sim.imaging.pdp import Pdp
-from mvla_sim.imaging.windows import Window
-from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 
 __all__ = ["LinearModel", "background", "noise_level", "pulse_power", "scale_of"]

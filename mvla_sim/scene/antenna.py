@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.config.antenna import AntennaSettings, Horn, Omni, PatternCuts, PatternFile
 from mvla_sim.errors import DataError
+from mvla_sim.scene.antenna_settings import AntennaSettings, Horn, Omni, PatternCuts, PatternFile
 from mvla_sim.scene.positions import read_columns
 
 __all__ = ["STEP_DEG", "Antenna", "build_antenna", "local_angles", "self_contained"]

@@ -16,9 +16,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from shapely.geometry.polygon import orient
 
-from mvla_sim.config.scene import Car, MeshFile, ObjectSettings
 from mvla_sim.errors import DataError
 from mvla_sim.files import existing_file
+from mvla_sim.scene.scene_settings import Car, MeshFile, ObjectSettings
 from mvla_sim.scene.shapes import outline
 from mvla_sim.scene.vehicle import car_parts
 

@@ -12,8 +12,18 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon as ShapelyPolygon
 from shapely.geometry.polygon import orient
 
-from mvla_sim.config.scene import Car, Circle, MeshFile, ObjectSettings, Polygon, Rectangle, Square, Star, Triangle
 from mvla_sim.errors import ConfigError
+from mvla_sim.scene.scene_settings import (
+    Car,
+    Circle,
+    MeshFile,
+    ObjectSettings,
+    Polygon,
+    Rectangle,
+    Square,
+    Star,
+    Triangle,
+)
 
 __all__ = ["nominal_extent_m", "outline"]
 

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mvla_sim.config.antenna import PointingSettings
-from mvla_sim.config.trajectory import (
+from mvla_sim.errors import ConfigError
+from mvla_sim.scene.antenna_settings import PointingSettings
+from mvla_sim.scene.positions import PLACE, RECEIVER, Columns, read_columns
+from mvla_sim.scene.trajectory_settings import (
     ArcTrajectory,
     CircleTrajectory,
     LineTrajectory,
@@ -20,8 +22,6 @@ from mvla_sim.config.trajectory import (
     TurntableTrajectory,
     whole_turn,
 )
-from mvla_sim.errors import ConfigError
-from mvla_sim.scene.positions import PLACE, RECEIVER, Columns, read_columns
 from mvla_sim.scene.views import Views, wrapped
 
 __all__ = [

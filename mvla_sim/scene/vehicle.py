@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from mvla_sim.config.scene import Car
+from mvla_sim.scene.scene_settings import Car
 
 __all__ = ["car_parts", "part_settings"]
 

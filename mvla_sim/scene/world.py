@@ -16,11 +16,11 @@ import trimesh
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from mvla_sim.config.antenna import PatternFile
-from mvla_sim.config.scene import Car, MeshFile, ObjectSettings, SceneSettings, load_scene
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.scene.antenna import build_antenna
+from mvla_sim.scene.antenna_settings import PatternFile
 from mvla_sim.scene.meshes import build_parts, cross_section, footprint, section_and_gap
+from mvla_sim.scene.scene_settings import Car, MeshFile, ObjectSettings, SceneSettings, load_scene
 from mvla_sim.scene.shapes import nominal_extent_m
 from mvla_sim.scene.trajectory import build_views
 from mvla_sim.scene.vehicle import part_settings

@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.channel.impair import assumed_views, impair
-from mvla_sim.config.antenna import AntennaSettings
-from mvla_sim.config.imaging import EvaluationSettings, GridSettings, ImagingSettings, PdpSettings
-from mvla_sim.config.impairments import ImpairmentSettings
+from mvla_sim.channel.impairment_settings import ImpairmentSettings
+from mvla_sim.channel.impairments import assumed_views, impair
 from mvla_sim.errors import reason
 from mvla_sim.evaluation.candidates import pack_table
 from mvla_sim.evaluation.evaluate import Evaluation, evaluate, ground_truth
 from mvla_sim.evaluation.ground_truth import TruthGeometry
+from mvla_sim.grid import GridSettings, VoxelGrid
 from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings, PdpSettings
 from mvla_sim.imaging.methods.base import Method
 from mvla_sim.imaging.methods.registry import find_method
 from mvla_sim.imaging.noise import add_noise
@@ -33,7 +33,7 @@ from mvla_sim.imaging.observation import FrontEnd, Observation
 from mvla_sim.imaging.pdp import Pdp, compute_pdp, gate_for
 from mvla_sim.imaging.peaks import Peaks, extract_peaks
 from mvla_sim.imaging.pipeline import check_peaks, chosen_views
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.scene.antenna_settings import AntennaSettings
 from mvla_sim.scene.views import Views
 from mvla_sim.sweep.case import MAP, Case, Row
 

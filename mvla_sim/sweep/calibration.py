@@ -13,11 +13,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from mvla_sim.config.experiment import CalibrationSettings, dotted_key
-from mvla_sim.config.imaging import ThresholdSettings
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.evaluation.candidates import best_pair, unpack_table
 from mvla_sim.files import existing_file
+from mvla_sim.imaging.imaging_settings import ThresholdSettings
+from mvla_sim.sweep.experiment import CalibrationSettings, dotted_key
 from mvla_sim.sweep.table import MAPS, RECORD, load_maps, load_table
 
 __all__ = ["Calibration", "average_thresholds", "least_mean_thresholds"]

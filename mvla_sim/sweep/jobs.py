@@ -6,11 +6,11 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from mvla_sim.channel.impairment_settings import ImpairmentSettings
 from mvla_sim.channel.simulate import cache_file, simulate
-from mvla_sim.config.imaging import PdpSettings
-from mvla_sim.config.impairments import ImpairmentSettings
+from mvla_sim.engine.cache import cache_folder, is_shared, pull, push
 from mvla_sim.errors import DataError, OutputError
-from mvla_sim.runtime.cache import cache_folder, is_shared, pull, push
+from mvla_sim.imaging.imaging_settings import PdpSettings
 from mvla_sim.scene.world import Scene
 from mvla_sim.sweep.batch import Batch, CaseRunner, Channel, prepare, reason, run_batch
 from mvla_sim.sweep.case import Case, Row

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from mvla_sim.channel.simulate import cache_file
-from mvla_sim.config.base import assign, parse
-from mvla_sim.config.experiment import ALL, OFFSET, AxisValue, ExperimentSettings, dotted_key
-from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings, ViewSettings
-from mvla_sim.config.scene import SceneSettings, load_scene
 from mvla_sim.errors import ConfigError
+from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings, ViewSettings
 from mvla_sim.imaging.pipeline import select_views
+from mvla_sim.scene.scene_settings import SceneSettings, load_scene
 from mvla_sim.scene.world import Scene
+from mvla_sim.settings import assign, parse
 from mvla_sim.sweep.calibration import Calibration
 from mvla_sim.sweep.case import Case, case_key, setting_columns
+from mvla_sim.sweep.experiment import ALL, OFFSET, AxisValue, ExperimentSettings, dotted_key
 
 __all__ = ["CASE_LIMIT", "Plan", "expand"]
 

@@ -14,16 +14,16 @@ from typing import Any
 import pandas as pd
 
 from mvla_sim.channel.simulate import SimulationInterruptedError, cache_file, simulate
-from mvla_sim.config.experiment import ExperimentSettings
+from mvla_sim.cluster.pool import WORKER_DIED, Cluster, Finished, Shared, open_cluster
+from mvla_sim.engine.cache import cache_url, discard, pull, push
+from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import MvlaError, OutputError, RuntimeUnfitError
 from mvla_sim.files import atomic_output
-from mvla_sim.runtime.cache import cache_url, discard, pull, push
-from mvla_sim.runtime.cluster import WORKER_DIED, Cluster, Finished, Shared, open_cluster
-from mvla_sim.runtime.interrupt import interruptible
-from mvla_sim.runtime.progress import Advance, progress
-from mvla_sim.runtime.provenance import provenance
+from mvla_sim.interrupt import interruptible
+from mvla_sim.progress import Advance, progress
 from mvla_sim.sweep.batch import Batch, Outcome, prepare, reason, results
 from mvla_sim.sweep.case import Case, Row
+from mvla_sim.sweep.experiment import ExperimentSettings
 from mvla_sim.sweep.jobs import (
     Failed,
     prepare_here,

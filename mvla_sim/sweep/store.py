@@ -13,10 +13,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from mvla_sim.config.experiment import dotted_key
+from mvla_sim.engine.machine import program_version
 from mvla_sim.errors import DataError, MvlaError, OutputError
-from mvla_sim.runtime.machine import program_version
 from mvla_sim.sweep.case import ROW_SCHEMA, Row, flatten
+from mvla_sim.sweep.experiment import dotted_key
 from mvla_sim.sweep.plan import Plan
 
 __all__ = ["FILE", "Store", "code_digest", "identity"]

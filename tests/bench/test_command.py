@@ -10,8 +10,8 @@ from rich.console import Console
 from rows import measured_rows
 
 import mvla_sim.cli.bench as command
+from mvla_sim.bench.cost_tables import axis_tables, estimate_lines, frame, markdown
 from mvla_sim.bench.estimate import Campaign, costs_from, estimate
-from mvla_sim.bench.table import axis_tables, estimate_lines, frame, markdown
 from mvla_sim.errors import ConfigError, OutputError
 
 

@@ -15,12 +15,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mvla_sim.config.imaging import imaging_settings
+from mvla_sim.engine.machine import cpu_name
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import imaging_settings
 from mvla_sim.imaging.methods.registry import find_method, phase_free_methods
 from mvla_sim.imaging.observation import FrontEnd, Observation
 from mvla_sim.imaging.projection import Projection, RangeProfiles
-from mvla_sim.runtime.machine import cpu_name
-from mvla_sim.scene.grid import VoxelGrid
 
 sys.path.append(str(Path(__file__).parent))
 from bench_projection import LARGE, RESOLUTION, peaks, power, ring

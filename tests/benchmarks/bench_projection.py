@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mvla_sim.engine.machine import cpu_name
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.backprojection import backprojection_profiles
 from mvla_sim.imaging.mvla import likelihood_profiles
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import RangeProfiles, project
-from mvla_sim.runtime.machine import cpu_name
-from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 
 sys.path.append(str(Path(__file__).parents[1] / "imaging"))

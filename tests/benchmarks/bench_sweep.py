@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from mvla_sim.channel.simulate import cache_file, simulate
-from mvla_sim.config.experiment import load_experiment
-from mvla_sim.runtime.backend import set_threads
-from mvla_sim.runtime.machine import core_count, cpu_name
+from mvla_sim.engine.backend import set_threads
+from mvla_sim.engine.machine import core_count, cpu_name
 from mvla_sim.sweep.batch import Batch, prepare, run_batch
+from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.run import run_plan
 from mvla_sim.sweep.schedule import tasks_of

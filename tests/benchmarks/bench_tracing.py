@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from mvla_sim.channel.cir import INTERACTIONS
 from mvla_sim.channel.raytrace import ViewTracer
 from mvla_sim.channel.simulate import simulate
-from mvla_sim.config.base import parse
-from mvla_sim.config.imaging import PdpSettings
-from mvla_sim.config.scene import SceneSettings
+from mvla_sim.engine.machine import cpu_name
+from mvla_sim.imaging.imaging_settings import PdpSettings
 from mvla_sim.imaging.pdp import compute_pdp
-from mvla_sim.runtime.machine import cpu_name
+from mvla_sim.scene.scene_settings import SceneSettings
 from mvla_sim.scene.world import Scene
+from mvla_sim.settings import parse
 
 VIEWS = 24
 PLAIN_RAYS = (1_000_000, 4_000_000)

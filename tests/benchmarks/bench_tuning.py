@@ -24,7 +24,7 @@ from shapely.geometry import Polygon
 
 from mvla_sim.evaluation.ground_truth import TruthGeometry, rasterize
 from mvla_sim.evaluation.tuning import optimal_thresholds
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
 
 RUNS = 7
 Image = NDArray[np.float32]

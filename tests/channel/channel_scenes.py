@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.config.base import parse
-from mvla_sim.config.scene import SceneSettings
 from mvla_sim.constants import range_to_delay
+from mvla_sim.scene.scene_settings import SceneSettings
 from mvla_sim.scene.views import Views
 from mvla_sim.scene.world import Scene
+from mvla_sim.settings import parse
 
 
 def build(objects, trajectory, radio=None, **ray_tracing):

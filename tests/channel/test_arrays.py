@@ -20,8 +20,8 @@ from foreign_files import damaged
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.channel.importers import array_files
-from mvla_sim.channel.importers.arrays import ArrayData, ArrayFile, read_array_file, read_responses
+from mvla_sim.channel.readers import array_files
+from mvla_sim.channel.readers.arrays import ArrayData, ArrayFile, read_array_file, read_responses
 from mvla_sim.errors import ConfigError, DataError
 
 N_VIEW, N_AXIS = 4, 6

@@ -10,7 +10,8 @@ import skrf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.channel.importers.calibration import (
+from mvla_sim.channel.readers.import_settings import ReferenceSettings
+from mvla_sim.channel.references import (
     calibrate,
     echo_gain,
     find_peak,
@@ -18,7 +19,6 @@ from mvla_sim.channel.importers.calibration import (
     range_profile,
     subtract_background,
 )
-from mvla_sim.config.importing import ReferenceSettings
 from mvla_sim.constants import SPEED_OF_LIGHT, delay_to_range, range_to_delay
 from mvla_sim.errors import ConfigError, DataError
 

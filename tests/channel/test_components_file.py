@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mvla_sim.channel.components import COMPONENT_SCHEMA, COMPONENT_VERSION, Components
-from mvla_sim.channel.files import load_channel
-from mvla_sim.config.antenna import Horn, Omni
+from mvla_sim.channel.loading import load_channel
 from mvla_sim.errors import DataError, OutputError
+from mvla_sim.scene.antenna_settings import Horn, Omni
 
 HORN = Horn(kind="horn", azimuth_beamwidth_deg=20.0, gain_dbi=21.5)
 ARRAYS = ("range_m", "power", "row_size")

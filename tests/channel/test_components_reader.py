@@ -11,7 +11,7 @@ from foreign_files import damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.channel.importers.components import ComponentTable, read_components
+from mvla_sim.channel.readers.component_tables import ComponentTable, read_components
 from mvla_sim.constants import SPEED_OF_LIGHT, range_to_delay
 from mvla_sim.errors import DataError
 

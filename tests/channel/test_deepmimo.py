@@ -35,8 +35,8 @@ from foreign_files import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.channel.importers.deepmimo import read_deepmimo
-from mvla_sim.channel.importers.pairs import PairPaths, select_pairs
+from mvla_sim.channel.readers.deepmimo import read_deepmimo
+from mvla_sim.channel.readers.pairs import PairPaths, select_pairs
 from mvla_sim.errors import DataError
 
 TRANSMITTER = (1.5, -2.0, 10.0)

@@ -13,8 +13,8 @@ from foreign_files import write_p2m as write
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.channel.importers.insite import read_p2m
-from mvla_sim.channel.importers.pairs import PairPaths
+from mvla_sim.channel.readers.insite import read_p2m
+from mvla_sim.channel.readers.pairs import PairPaths
 from mvla_sim.constants import SPEED_OF_LIGHT
 from mvla_sim.errors import ConfigError, DataError
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.channel.importers.pairs import PairPaths, drop_line_of_sight, join_pairs, select_pairs
+from mvla_sim.channel.readers.pairs import PairPaths, drop_line_of_sight, join_pairs, select_pairs
 from mvla_sim.errors import ConfigError, DataError
 
 ARRAYS = ("transmitters_m", "receivers_m", "row_size", "gain", "delay_s", "interaction", "first_point_m")

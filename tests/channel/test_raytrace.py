@@ -18,9 +18,9 @@ from mvla_sim.channel import raytrace
 from mvla_sim.channel.cir import INTERACTIONS
 from mvla_sim.channel.raytrace import LaunchWindow, ViewTracer
 from mvla_sim.channel.simulate import simulate
-from mvla_sim.config.imaging import PdpSettings, PeakSettings
 from mvla_sim.constants import SPEED_OF_LIGHT, delay_to_range
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.imaging.imaging_settings import PdpSettings, PeakSettings
 from mvla_sim.imaging.pdp import compute_pdp
 from mvla_sim.imaging.peaks import extract_peaks
 

@@ -7,11 +7,11 @@ import pytest
 from channel_scenes import ring_views
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.config.imaging import imaging_settings
 from mvla_sim.constants import SPEED_OF_LIGHT, delay_to_range
+from mvla_sim.engine.backend import activate_sionna
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import imaging_settings
 from mvla_sim.imaging.pipeline import front_end, reconstruct
-from mvla_sim.runtime.backend import activate_sionna
-from mvla_sim.scene.grid import VoxelGrid
 
 POINT = np.array([1.0, 0.5, 0.0])
 CROSS_SECTION = 0.5

@@ -15,11 +15,11 @@ from full_views import views_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.channel.files import load_channel
+from mvla_sim.channel.loading import load_channel
 from mvla_sim.channel.response import RESPONSE_SCHEMA, RESPONSE_VERSION, FrequencyResponse
-from mvla_sim.config.antenna import Horn, Omni, PatternCuts
 from mvla_sim.constants import SPEED_OF_LIGHT
 from mvla_sim.errors import DataError, OutputError
+from mvla_sim.scene.antenna_settings import Horn, Omni, PatternCuts
 
 ANTENNAS = (
     Omni(),

@@ -10,15 +10,15 @@ from channel_scenes import random_cir, ring_views
 from skrf.io.touchstone import Touchstone
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.channel.importers.calibration import calibrate, echo_gain, find_peak, subtract_background
-from mvla_sim.channel.importers.touchstone import read_folder, read_touchstone
+from mvla_sim.channel.readers.import_settings import BackgroundSettings, ReferenceSettings, SweepSettings
+from mvla_sim.channel.readers.touchstone import read_folder, read_touchstone
+from mvla_sim.channel.references import calibrate, echo_gain, find_peak, subtract_background
 from mvla_sim.channel.synthesis import synthesize, write_campaign
-from mvla_sim.config.antenna import Horn
-from mvla_sim.config.importing import BackgroundSettings, ReferenceSettings, SweepSettings
-from mvla_sim.config.synthesis import EchoSettings, SynthesisSettings
+from mvla_sim.channel.synthesis_settings import EchoSettings, SynthesisSettings
 from mvla_sim.constants import delay_to_range, range_to_delay
 from mvla_sim.errors import ConfigError, DataError, OutputError
 from mvla_sim.scene.antenna import build_antenna
+from mvla_sim.scene.antenna_settings import Horn
 
 CLEAN = 300.0
 """dB; noise of 1e-15 of the target."""

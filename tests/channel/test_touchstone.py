@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skrf.io.touchstone import Touchstone
 
-from mvla_sim.channel.importers import touchstone
-from mvla_sim.channel.importers.touchstone import missing_angles, read_folder, read_touchstone, write_touchstone
-from mvla_sim.config.importing import BackgroundSettings, ReferenceSettings, SweepSettings
+from mvla_sim.channel.readers import touchstone
+from mvla_sim.channel.readers.import_settings import BackgroundSettings, ReferenceSettings, SweepSettings
+from mvla_sim.channel.readers.touchstone import missing_angles, read_folder, read_touchstone, write_touchstone
 from mvla_sim.errors import ConfigError, DataError, OutputError
 
 START, STEP, COUNT = 34.5e9, 30e6, 101

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from mvla_sim.config.imaging import ImagingSettings
-from mvla_sim.config.listing import settings_of
+from mvla_sim.cli.listing import settings_of
+from mvla_sim.imaging.imaging_settings import ImagingSettings
 
 SCENE = """
 name = "small"

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from mvla_sim.cli.reproduce import EXPERIMENTS, MEASURED, QUICK_OVERRIDES, QUICK_SKIPS
-from mvla_sim.config.experiment import load_experiment
-from mvla_sim.config.process import load_process
+from mvla_sim.measured.process_settings import load_process
+from mvla_sim.paper.reproduce import EXPERIMENTS, MEASURED, QUICK_OVERRIDES, QUICK_SKIPS
 from mvla_sim.scene.world import Scene
+from mvla_sim.sweep.experiment import load_experiment
 
 EXPERIMENT_FILES = Path(__file__).parents[2] / "experiments"
 SCENE = """

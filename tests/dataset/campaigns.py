@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.config.base import parse
-from mvla_sim.config.campaign import CampaignSettings, load_campaign
 from mvla_sim.constants import range_to_delay
+from mvla_sim.dataset.campaign import CampaignSettings, load_campaign
 from mvla_sim.errors import DataError
+from mvla_sim.settings import parse
 
 CAMPAIGN = """
 name = "tiny"

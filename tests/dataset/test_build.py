@@ -20,7 +20,7 @@ from mvla_sim.dataset import build as module
 from mvla_sim.dataset.access import BenchmarkDataset
 from mvla_sim.dataset.build import BuildInterruptedError, build_dataset
 from mvla_sim.dataset.card import card_text
-from mvla_sim.dataset.estimate import estimate
+from mvla_sim.dataset.dry_run import estimate
 from mvla_sim.dataset.index import INDEX, Index, file_sha256
 from mvla_sim.dataset.shard import ShardTask, make_shard, shard_name
 from mvla_sim.dataset.verify import verify

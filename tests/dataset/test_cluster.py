@@ -11,15 +11,15 @@ import pytest
 from campaigns import digests, fake_simulate, tiny
 from existing_cluster import Existing
 
+from mvla_sim.cluster import dask_cluster as dask_module
+from mvla_sim.cluster.pool import WORKER_DIED, open_cluster
 from mvla_sim.dataset import build as module
 from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.index import Index
 from mvla_sim.dataset.shard import shard_name
 from mvla_sim.dataset.verify import verify
+from mvla_sim.engine.cache import shared_cache
 from mvla_sim.errors import OutputError, RuntimeUnfitError
-from mvla_sim.runtime import dask as dask_module
-from mvla_sim.runtime.cache import shared_cache
-from mvla_sim.runtime.cluster import WORKER_DIED, open_cluster
 
 pytestmark = pytest.mark.usefixtures("fake")
 SMALL = ("samples_per_shard=1",)

@@ -10,14 +10,14 @@ import shapely
 from campaigns import count_paths, fake_simulate, tiny
 from scipy.io import loadmat
 
-from mvla_sim.channel.importers.build import import_channel
-from mvla_sim.channel.importers.deepmimo import read_deepmimo
-from mvla_sim.channel.importers.pairs import select_pairs
-from mvla_sim.config.importing import import_settings
+from mvla_sim.channel.readers.deepmimo import read_deepmimo
+from mvla_sim.channel.readers.import_settings import import_settings
+from mvla_sim.channel.readers.importing import import_channel
+from mvla_sim.channel.readers.pairs import select_pairs
 from mvla_sim.dataset import export as module
 from mvla_sim.dataset.access import open_dataset
 from mvla_sim.dataset.build import build_dataset
-from mvla_sim.dataset.export import export_mat, export_npz
+from mvla_sim.dataset.exports import export_mat, export_npz
 from mvla_sim.errors import ConfigError, OutputError
 
 GAIN = 1e-6

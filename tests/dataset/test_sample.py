@@ -13,14 +13,14 @@ import pytest
 import shapely
 from campaigns import EVERY_FAMILY, of_family, tiny, write
 
-from mvla_sim.config.base import parse
-from mvla_sim.config.campaign import SPLITS, CampaignSettings, load_campaign
+from mvla_sim.dataset.campaign import SPLITS, CampaignSettings, load_campaign
 from mvla_sim.dataset.outlines import random_polygon, smooth_outline
 from mvla_sim.dataset.sample import check_room, draw_sample, family_of, split_of, splits_of
 from mvla_sim.dataset.shard import occupancy_of
 from mvla_sim.errors import ConfigError
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.scene.world import Scene
+from mvla_sim.settings import parse
 
 
 def test_any_order_and_any_company_give_the_same_sample(tmp_path):
@@ -35,7 +35,7 @@ def test_any_order_and_any_company_give_the_same_sample(tmp_path):
 
 def test_another_process_draws_the_same(tmp_path):
     program = (
-        "import sys; from mvla_sim.config.campaign import load_campaign;"
+        "import sys; from mvla_sim.dataset.campaign import load_campaign;"
         "from mvla_sim.dataset.sample import draw_sample, split_of\n"
         "c = load_campaign(sys.argv[1])\n"
         "for k in (9, 3): print(split_of(c, k), draw_sample(c, k).model_dump_json())"

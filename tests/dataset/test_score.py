@@ -12,7 +12,7 @@ from campaigns import tiny
 
 import mvla_sim as mv
 from mvla_sim.cli.app import run
-from mvla_sim.config.imaging import METHOD_NAMES
+from mvla_sim.cluster.pool import open_cluster
 from mvla_sim.dataset import access
 from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.leaderboard import build_leaderboard
@@ -22,10 +22,10 @@ from mvla_sim.errors import ConfigError, DataError, MvlaError
 from mvla_sim.evaluation.candidates import SUPPORTS_DEG, TOP_PERCENTS, chamfer_table, worst_db
 from mvla_sim.evaluation.ground_truth import TruthGeometry
 from mvla_sim.evaluation.metrics import score
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import METHOD_NAMES
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.imaging.threshold import joint_threshold
-from mvla_sim.runtime.cluster import open_cluster
-from mvla_sim.scene.grid import VoxelGrid
 
 README = Path(__file__).parents[2] / "README.md"
 ORACLE = """

@@ -14,15 +14,15 @@ from campaigns import tiny, write
 
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.cli.app import run
-from mvla_sim.config.campaign import load_campaign
 from mvla_sim.dataset import build as module
 from mvla_sim.dataset.access import open_dataset
 from mvla_sim.dataset.build import build_dataset
+from mvla_sim.dataset.campaign import load_campaign
 from mvla_sim.dataset.card import shown_samples
 from mvla_sim.dataset.sample import draw_sample
 from mvla_sim.dataset.verify import unmatched_share, verify
 from mvla_sim.errors import DataError
-from mvla_sim.report.dataset import plot_samples
+from mvla_sim.plot.samples import plot_samples
 from mvla_sim.scene.world import Scene
 
 SMALL = ("samples=2", "samples_per_shard=1", "split.train=0.5", "split.validation=0.0", "split.test=0.5",

@@ -12,7 +12,7 @@ from shapely.geometry import LineString, MultiPolygon, Point, Polygon, box
 
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.ground_truth import TruthGeometry, check_inside, rasterize
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
 
 KINDS = ("contour", "filled")
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.metrics import Scores, chamfer_db, score
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
 
 ROUNDING_DB = 1e-9  # far above float64 rounding of a mean of tens of squares, far below any dB shown
 

@@ -11,8 +11,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.evaluation.shape import Box, bounding_box, box_of_outline, largest_parts
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.evaluation.boxes import Box, bounding_box, box_of_outline, largest_parts
+from mvla_sim.grid import VoxelGrid
 
 SPACING = 0.05
 GRID = VoxelGrid((0.3, -0.2, 0.5), (160, 160, 1), SPACING)

@@ -14,7 +14,7 @@ from mvla_sim.errors import DataError
 from mvla_sim.evaluation import ground_truth, tuning
 from mvla_sim.evaluation.metrics import score as score_masks
 from mvla_sim.evaluation.tuning import TruthGeometry, chamfer_for_prefixes, optimal_thresholds
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
 
 
 def thresholded(score, theta, n, level):

@@ -7,11 +7,11 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import ConvexHull
 
-from mvla_sim.config.imaging import ThresholdSettings
 from mvla_sim.errors import DataError
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.automatic import LEAST_SUPPORT_DEG, WIDTH, automatic_thresholds, thresholds_of
+from mvla_sim.imaging.imaging_settings import ThresholdSettings
 from mvla_sim.imaging.threshold import joint_threshold
-from mvla_sim.scene.grid import VoxelGrid
 
 LAYER = VoxelGrid((0, 0, 0), (60, 60, 1), 0.05)
 

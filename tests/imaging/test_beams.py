@@ -11,17 +11,17 @@ from cases import PAPER_METHODS, channel, make_peaks, per_view, random_peaks, ri
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.config.antenna import Horn, Omni, PatternFile
-from mvla_sim.config.imaging import BeamSettings, imaging_settings
 from mvla_sim.errors import ConfigError
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.backprojection import backprojection_profiles
 from mvla_sim.imaging.beam import build_beam
+from mvla_sim.imaging.imaging_settings import BeamSettings, imaging_settings
 from mvla_sim.imaging.mvla import likelihood_profiles
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.imaging.projection import project
 from mvla_sim.scene.antenna import build_antenna
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.scene.antenna_settings import Horn, Omni, PatternFile
 from mvla_sim.scene.views import Views
 
 SIGMA, RADIUS = 0.025, 0.32  # the paper's κ = 0.5 and η = 0.04 at 3 GHz and D = 8 m

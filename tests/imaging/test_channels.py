@@ -10,16 +10,16 @@ from cases import BANDWIDTH, PAPER_METHODS, RESOLUTION, response, ring, scattere
 
 from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.components import Components
-from mvla_sim.channel.files import load_channel
+from mvla_sim.channel.loading import load_channel
 from mvla_sim.channel.response import FrequencyResponse
-from mvla_sim.config.antenna import Horn
-from mvla_sim.config.base import parse
-from mvla_sim.config.imaging import ImagingSettings, imaging_settings
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
 from mvla_sim.imaging.pdp import compute_pdp, gate_for
 from mvla_sim.imaging.pipeline import front_end, reconstruct
 from mvla_sim.netcdf import write_netcdf
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.scene.antenna_settings import Horn
+from mvla_sim.settings import parse
 
 POINTS = [[1.0, 0.5, 0.0], [-0.8, -0.4, 0.0], [0.3, -1.2, 0.0]]
 

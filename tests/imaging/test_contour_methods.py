@@ -10,16 +10,16 @@ import pytest
 from cases import RESOLUTION, channel, make_peaks, ring, scatterers, views_at
 
 from mvla_sim.channel.components import Components
-from mvla_sim.config.antenna import Horn
-from mvla_sim.config.imaging import BeamSettings, ImagingSettings, imaging_settings
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import build_beam
+from mvla_sim.imaging.imaging_settings import BeamSettings, ImagingSettings, imaging_settings
 from mvla_sim.imaging.methods.carving import first_echoes
 from mvla_sim.imaging.methods.registry import find_method
 from mvla_sim.imaging.methods.rpm import contour_points
 from mvla_sim.imaging.observation import FrontEnd, Observation
 from mvla_sim.imaging.pipeline import reconstruct
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.scene.antenna_settings import Horn
 from mvla_sim.scene.views import Views
 from mvla_sim.sweep.schedule import tasks_of
 

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from matplotlib import colormaps
 
 from mvla_sim.errors import ConfigError, DataError, OutputError
-from mvla_sim.imaging.export import EXPORT_SUFFIXES, SCORE_MAP, export_image, exposed_faces
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.imaging.volumes import EXPORT_SUFFIXES, SCORE_MAP, export_image, exposed_faces
 
 GRID = VoxelGrid((1.0, -2.0, 0.5), (5, 4, 3), 0.125)  # every corner is a binary fraction, exact in single precision
 

@@ -10,8 +10,8 @@ import pytest
 import shapely
 
 from mvla_sim.errors import DataError
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import SCHEMA, SCHEMA_VERSION, Image
-from mvla_sim.scene.grid import VoxelGrid
 
 GRID = VoxelGrid((1.0, -2.0, 0.5), (5, 4, 3), 0.1)
 

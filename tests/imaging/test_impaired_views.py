@@ -7,11 +7,11 @@ import pytest
 from cases import PAPER_METHODS, channel, response, ring, scatterers
 
 from mvla_sim.channel.components import Components
-from mvla_sim.config.imaging import imaging_settings
 from mvla_sim.errors import ConfigError, MvlaError
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import imaging_settings
 from mvla_sim.imaging.pipeline import chosen_views, impaired, reconstruct
 from mvla_sim.imaging.pipeline import select_views as nominal_views
-from mvla_sim.scene.grid import VoxelGrid
 
 POINTS = [(0.5, 0.2, 0.0), (-0.6, -0.4, 0.0), (0.1, 0.7, 0.0)]
 GRID = {"size_m": [2.0, 2.0, 0.0], "spacing_m": 0.05}

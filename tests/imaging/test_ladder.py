@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from cases import ring, scatterers
 
-from mvla_sim.config.imaging import METHOD_NAMES, imaging_settings
+from mvla_sim.engine.backend import set_threads
+from mvla_sim.engine.machine import core_count
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import METHOD_NAMES, imaging_settings
 from mvla_sim.imaging.methods.mvla_em import echoes
 from mvla_sim.imaging.methods.registry import find_method, phase_free_methods
 from mvla_sim.imaging.pdp import compute_pdp, gate_for
 from mvla_sim.imaging.pipeline import reconstruct
-from mvla_sim.runtime.backend import set_threads
-from mvla_sim.runtime.machine import core_count
-from mvla_sim.scene.grid import VoxelGrid
 
 POINTS = [[1.0, 0.5, 0.0], [-0.8, -0.4, 0.0], [0.3, -1.2, 0.0]]
 SCALE_FREE = ("hard-vote", "soft-kernel", "power-weights", "mvla-gr", "mvla-hard", "bp-normalised", "mvla-em")

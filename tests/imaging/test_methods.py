@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from cases import ring, scatterers
 
-from mvla_sim.config.imaging import METHOD_NAMES, imaging_settings
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.imaging.imaging_settings import METHOD_NAMES, imaging_settings
 from mvla_sim.imaging.methods import registry
 from mvla_sim.imaging.methods.registry import find_method, title_of
 from mvla_sim.imaging.pipeline import reconstruct
@@ -72,7 +72,7 @@ def test_an_entry_point_is_a_method(tmp_path, monkeypatch):
     write(tmp_path, name="their_package.py")
     monkeypatch.syspath_prepend(str(tmp_path))
     points = [EntryPoint("theirs", "their_package:image", registry.METHOD_GROUP)]
-    for module in ("mvla_sim.imaging.methods.registry", "mvla_sim.config.imaging"):
+    for module in ("mvla_sim.imaging.methods.registry", "mvla_sim.imaging.imaging_settings"):
         monkeypatch.setattr(f"{module}.entry_points", lambda group: [p for p in points if p.group == group])
     cir = small_cir()
     theirs = reconstruct(cir, options(method="theirs"))

@@ -10,11 +10,11 @@ from cases import random_channel, ring
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.config.imaging import NoiseSettings, PdpSettings
+from mvla_sim.dsp import Window
 from mvla_sim.errors import ConfigError
+from mvla_sim.imaging.imaging_settings import NoiseSettings, PdpSettings
 from mvla_sim.imaging.noise import add_noise
 from mvla_sim.imaging.pdp import compute_pdp
-from mvla_sim.imaging.windows import Window
 from mvla_sim.streams import stream
 
 VIEWS = 40

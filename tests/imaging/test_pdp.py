@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.config.imaging import PdpSettings
 from mvla_sim.constants import range_to_delay
+from mvla_sim.dsp import Window
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import PdpSettings
 from mvla_sim.imaging.pdp import compute_pdp, gate_for
-from mvla_sim.imaging.windows import Window
-from mvla_sim.scene.grid import VoxelGrid
 
 WINDOWS = ("rectangular", "hann", "hamming", "blackman", "kaiser")
 ONE = ring(1)

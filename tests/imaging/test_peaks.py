@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from mvla_sim.config.imaging import NoiseSettings, PdpSettings, PeakSettings
 from mvla_sim.errors import DataError
+from mvla_sim.imaging.imaging_settings import NoiseSettings, PdpSettings, PeakSettings
 from mvla_sim.imaging.noise import add_noise
 from mvla_sim.imaging.pdp import Pdp, compute_pdp
 from mvla_sim.imaging.peaks import Peaks, extract_peaks

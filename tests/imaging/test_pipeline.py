@@ -9,11 +9,11 @@ from cases import PAPER_METHODS, channel, make_peaks, per_view, random_channel, 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.config.imaging import ViewSettings, imaging_settings
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.imaging_settings import ViewSettings, imaging_settings
 from mvla_sim.imaging.pipeline import front_end, reconstruct, select_views
 from mvla_sim.imaging.threshold import joint_threshold
-from mvla_sim.scene.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 
 SMALL = {"grid.size_m": [4.0, 4.0, 0.0], "grid.spacing_m": 0.05}

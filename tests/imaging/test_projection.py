@@ -12,13 +12,13 @@ from cases import make_peaks, per_view, random_peaks, ring, views_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.config.imaging import MvlaSettings
 from mvla_sim.errors import ConfigError
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.backprojection import backprojection_profiles
+from mvla_sim.imaging.imaging_settings import MvlaSettings
 from mvla_sim.imaging.mvla import hard_profiles, kernel_scales, likelihood_profiles
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.imaging.projection import RangeProfiles, check_grid, project
-from mvla_sim.scene.grid import VoxelGrid
 
 SIGMA, RADIUS = 0.025, 0.32  # the paper's κ = 0.5 and η = 0.04 at 3 GHz and D = 8 m
 LAYER = VoxelGrid((0.0, 0.0, 0.0), (120, 110, 1), 0.08)
@@ -260,7 +260,7 @@ def test_projecting_needs_no_other_import_first():
     code = """
 import numpy as np
 from mvla_sim.imaging.projection import RangeProfiles, project
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 views = Views(np.array([[10.0, 0.0, 0.0]]), np.zeros(1), (0.0, 0.0))
 profiles = RangeProfiles(np.ones((1, 50), np.float32), 8.0, 0.1)

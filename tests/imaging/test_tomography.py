@@ -11,19 +11,19 @@ import twin
 from cases import ring, scatterers
 from scipy.optimize import nnls
 
-from mvla_sim.config.antenna import Horn
-from mvla_sim.config.imaging import BeamSettings, PdpSettings, imaging_settings
+from mvla_sim.dsp import Window
 from mvla_sim.errors import ConfigError
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.forward import RangeOperator, forward
+from mvla_sim.imaging.imaging_settings import BeamSettings, PdpSettings, imaging_settings
 from mvla_sim.imaging.methods.mlem import maximize
 from mvla_sim.imaging.methods.nnls import minimize
 from mvla_sim.imaging.pdp import Pdp, compute_pdp
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.imaging.projection import RangeProfiles, project
 from mvla_sim.imaging.tomography import LinearModel, background, noise_level, pulse_power
-from mvla_sim.imaging.windows import Window
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.scene.antenna_settings import Horn
 from mvla_sim.scene.views import Views
 
 LAYER = VoxelGrid((0.1, -0.2, 0.0), (42, 39, 1), 0.22)
@@ -345,7 +345,7 @@ import sys
 import numpy as np
 from mvla_sim.imaging.forward import forward
 from mvla_sim.imaging.methods import mlem, nnls
-from mvla_sim.scene.grid import VoxelGrid
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.scene.views import Views
 assert "drjit" not in sys.modules
 views = Views(np.array([[10.0, 0.0, 0.0]]), np.zeros(1), (0.0, 0.0))

@@ -11,11 +11,11 @@ from scipy.integrate import quad
 from scipy.signal.windows import kaiser
 from scipy.special import i0
 
-from mvla_sim.config.base import parse
-from mvla_sim.config.imaging import PdpSettings
+from mvla_sim.dsp import Window
 from mvla_sim.errors import ConfigError
+from mvla_sim.imaging.imaging_settings import PdpSettings
 from mvla_sim.imaging.pdp import compute_pdp
-from mvla_sim.imaging.windows import Window
+from mvla_sim.settings import parse
 
 betas = st.floats(0, 40)
 

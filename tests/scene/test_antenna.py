@@ -8,13 +8,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from mvla_sim.channel.response import FrequencyResponse
-from mvla_sim.config.antenna import Horn, Omni, PatternFile
-from mvla_sim.config.base import parse
-from mvla_sim.config.scene import RadioSettings, SceneSettings
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.scene.antenna import build_antenna, local_angles
+from mvla_sim.scene.antenna_settings import Horn, Omni, PatternFile
+from mvla_sim.scene.scene_settings import RadioSettings, SceneSettings
 from mvla_sim.scene.views import Views
 from mvla_sim.scene.world import Scene
+from mvla_sim.settings import parse
 
 HALF_DB = -10 * np.log10(2)
 shapes = st.sampled_from(["gaussian", "cosine"])

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from mvla_sim.config.scene import SceneSettings
 from mvla_sim.errors import ConfigError, OutputError
-from mvla_sim.scene.export import export_mitsuba
+from mvla_sim.scene.mitsuba_xml import export_mitsuba
+from mvla_sim.scene.scene_settings import SceneSettings
 from mvla_sim.scene.world import Scene
 
 # In a process of its own: the engine keeps global state and needs its compiler named before it is imported.

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 
-from mvla_sim.config.scene import Circle, MeshFile, Polygon, Rectangle, Square, Star, Triangle
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.scene.meshes import build_mesh, cross_section, section_and_gap
+from mvla_sim.scene.scene_settings import Circle, MeshFile, Polygon, Rectangle, Square, Star, Triangle
 from mvla_sim.scene.shapes import outline
 
 SHAPES = [

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 
-from mvla_sim.config.scene import Circle, MeshFile, Polygon, Rectangle, Square, Star, Triangle
 from mvla_sim.errors import ConfigError
+from mvla_sim.scene.scene_settings import Circle, MeshFile, Polygon, Rectangle, Square, Star, Triangle
 from mvla_sim.scene.shapes import nominal_extent_m, outline
 
 ROUNDING = 1e-12  # relative: a few double-precision operations

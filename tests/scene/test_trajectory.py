@@ -9,10 +9,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.config.antenna import PointingSettings
-from mvla_sim.config.base import parse
-from mvla_sim.config.scene import SceneSettings
-from mvla_sim.config.trajectory import (
+from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.scene.antenna_settings import PointingSettings
+from mvla_sim.scene.scene_settings import SceneSettings
+from mvla_sim.scene.trajectory import build_views
+from mvla_sim.scene.trajectory_settings import (
     ArcTrajectory,
     CircleTrajectory,
     LineTrajectory,
@@ -20,9 +21,8 @@ from mvla_sim.config.trajectory import (
     PositionsTrajectory,
     TurntableTrajectory,
 )
-from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene.trajectory import build_views
 from mvla_sim.scene.views import Views
+from mvla_sim.settings import parse
 
 ORIGIN = (0.0, 0.0)
 ROUNDING = 1e-12  # metres, of coordinates of some tens of metres

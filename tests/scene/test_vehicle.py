@@ -11,14 +11,14 @@ import shapely
 import trimesh
 from shapely import affinity
 
-from mvla_sim.config.base import parse
-from mvla_sim.config.scene import RUBBER, Car, Circle, MeshFile, Polygon, SceneSettings, Square, Star
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.scene import meshes
 from mvla_sim.scene.meshes import build_mesh, build_parts, cross_section, footprint, section_and_gap
+from mvla_sim.scene.scene_settings import RUBBER, Car, Circle, MeshFile, Polygon, SceneSettings, Square, Star
 from mvla_sim.scene.shapes import outline
 from mvla_sim.scene.vehicle import car_parts
 from mvla_sim.scene.world import Scene
+from mvla_sim.settings import parse
 
 VEHICLE = Path(__file__).parents[2] / "scenes" / "vehicle.toml"
 CAR = Car(shape="car")

@@ -13,8 +13,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.config.scene import SceneSettings
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.scene.scene_settings import SceneSettings
 from mvla_sim.scene.world import Scene
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))

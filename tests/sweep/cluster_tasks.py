@@ -7,8 +7,8 @@ import signal
 import time
 from pathlib import Path
 
+from mvla_sim.cluster.worker import thread_counts
 from mvla_sim.errors import DataError
-from mvla_sim.runtime.worker import thread_counts
 from mvla_sim.sweep.jobs import run_cases
 
 POISON = "MVLA_TEST_POISON"

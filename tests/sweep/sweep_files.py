@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mvla_sim.config.experiment import load_experiment
+from mvla_sim.sweep.experiment import load_experiment
 
 SCENE = """
 name = "box"

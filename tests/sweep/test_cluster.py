@@ -18,14 +18,14 @@ from existing_cluster import Existing
 from sweep_files import experiment, numbers
 
 from mvla_sim.channel.simulate import cache_file
+from mvla_sim.cluster import dask_cluster as module
+from mvla_sim.cluster import worker as worker_module
+from mvla_sim.cluster.dask_cluster import IN_FLIGHT
+from mvla_sim.cluster.pool import WORKER_DIED, open_cluster
+from mvla_sim.cluster.worker import fair_share
+from mvla_sim.engine.cache import VARIABLE, shared_cache
+from mvla_sim.engine.machine import core_count
 from mvla_sim.errors import ConfigError, OutputError, RuntimeUnfitError
-from mvla_sim.runtime import dask as module
-from mvla_sim.runtime import worker as worker_module
-from mvla_sim.runtime.cache import VARIABLE, shared_cache
-from mvla_sim.runtime.cluster import WORKER_DIED, open_cluster
-from mvla_sim.runtime.dask import IN_FLIGHT
-from mvla_sim.runtime.machine import core_count
-from mvla_sim.runtime.worker import fair_share
 from mvla_sim.sweep import run as run_module
 from mvla_sim.sweep.case import Row
 from mvla_sim.sweep.plan import expand
@@ -99,7 +99,7 @@ def test_in_this_process_without_dask():
     with open_cluster(0) as cluster:
         check_tasks(cluster)
     program = (
-        "import sys; from mvla_sim.runtime.cluster import open_cluster\n"
+        "import sys; from mvla_sim.cluster.pool import open_cluster\n"
         "with open_cluster(0) as c: print(*c.run(abs, [(-1,)], label='x'))\n"
         "sys.exit('distributed' in sys.modules)"
     )

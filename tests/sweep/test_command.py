@@ -14,8 +14,8 @@ import pandas as pd
 import pytest
 from sweep_files import numbers, write
 
-from mvla_sim.config.experiment import load_experiment
 from mvla_sim.errors import DataError, OutputError
+from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.run import run_plan
 from mvla_sim.sweep.store import Store, identity

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from sweep_files import experiment
 
+from mvla_sim.channel.impairment_settings import ImpairmentSettings
 from mvla_sim.channel.simulate import cache_file, simulate
-from mvla_sim.config.imaging import EvaluationSettings, ImagingSettings, imaging_settings
-from mvla_sim.config.impairments import ImpairmentSettings
 from mvla_sim.evaluation.evaluate import evaluate
+from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings, imaging_settings
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.sweep import case as case_module
 from mvla_sim.sweep.batch import Batch, prepare, run_batch

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from sweep_files import SCENE, experiment, write
 
-from mvla_sim.config.experiment import load_experiment
 from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.pipeline import select_views
+from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.schedule import tasks_of
 
@@ -107,7 +107,7 @@ def test_a_huge_product_is_refused_at_once(tmp_path):
 def test_keys_are_the_same_in_another_process(tmp_path):
     file = write(tmp_path)
     program = (
-        "import sys; from mvla_sim.config.experiment import load_experiment as l;"
+        "import sys; from mvla_sim.sweep.experiment import load_experiment as l;"
         "from mvla_sim.sweep.plan import expand;"
         "print(*[c.key for c in expand(l(sys.argv[1])).cases])"
     )

@@ -13,7 +13,6 @@ import pytest
 from sweep_files import AXES, experiment, numbers, write
 
 from mvla_sim.channel.simulate import cache_file, simulate
-from mvla_sim.config.experiment import load_experiment
 from mvla_sim.errors import OutputError
 from mvla_sim.evaluation.candidates import unpack_table
 from mvla_sim.evaluation.evaluate import evaluate
@@ -21,6 +20,7 @@ from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.sweep import run as module
 from mvla_sim.sweep.batch import Batch, prepare, run_batch
 from mvla_sim.sweep.case import Row
+from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.run import RunInterruptedError, images_of, run_experiment, run_plan
 from mvla_sim.sweep.schedule import tasks_of

@@ -14,10 +14,10 @@ import time
 import pytest
 from sweep_files import experiment, write
 
-from mvla_sim.config.experiment import load_experiment
 from mvla_sim.errors import DataError, OutputError
 from mvla_sim.sweep import store as module
 from mvla_sim.sweep.case import ROW_SCHEMA, Row
+from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.store import FILE, Store, identity
 

@@ -16,7 +16,7 @@ class Method:
     """A way from an observation to an image.
 
     A method of this package is a module of :mod:`mvla_sim.imaging.methods` with an instance named ``METHOD``, and its
-    name in :data:`mvla_sim.config.imaging.METHOD_NAMES`. Other people's are functions; see
+    name in :data:`mvla_sim.imaging.imaging_settings.METHOD_NAMES`. Other people's are functions; see
     :mod:`mvla_sim.imaging.methods.registry`.
     """
 

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from mvla_sim.config.imaging import METHOD_GROUP, METHOD_NAMES, split_method
 from mvla_sim.errors import ConfigError, DataError, MvlaError, reason
+from mvla_sim.imaging.imaging_settings import METHOD_GROUP, METHOD_NAMES, split_method
 from mvla_sim.imaging.methods.base import Method
 from mvla_sim.imaging.observation import Estimate, Observation
 

@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.methods.base import Method
 from mvla_sim.imaging.observation import Estimate, Observation
-from mvla_sim.scene.grid import VoxelGrid
 
 __all__ = ["METHOD", "ContourPoints", "contour_points"]
 

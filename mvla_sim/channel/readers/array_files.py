@@ -1,0 +1,424 @@
+"""Named arrays of numbers in the files of MATLAB, NumPy, HDF5 and NetCDF.
+
+=================  ===========================================================  =================
+suffix             format                                                       name of an array
+=================  ===========================================================  =================
+``.mat``           MATLAB 5 to 7 (``save -v6``, ``-v7``) and 7.3 (``-v7.3``)    ``s.field`` in a struct
+``.npz``           NumPy, without Python objects
+``.h5``, ``.hdf5`` HDF5                                                         ``group/name``
+``.nc``            NetCDF-4                                                     ``group/name``
+=================  ===========================================================  =================
+
+The libraries for MATLAB and HDF5 files crash the process, or never return, on some damaged files. A process of its own
+therefore reads these, with bounds on its memory and time; what kills it is an error of the file.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import warnings
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+
+from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.files import existing_file
+from mvla_sim.memory import USABLE, check_memory
+
+__all__ = ["ArrayEntry", "ArrayFile", "read_array_file", "shown"]
+
+_PATIENCE_S: Final = 30.0  # for any file, and a second more for each of the following
+_BYTES_A_SECOND: Final = 20e6
+_MOST_PACKED: Final = 1100  # deflate makes at most 1032 bytes of one
+_NUMBER_BYTES: Final = 48  # of memory for a number, which becomes complex128 and is copied
+_MOST_ARRAYS: Final = 10_000
+_MOST_LISTED: Final = 20
+_HEADER_BYTES: Final = 4096  # of .npy; those of plain arrays take 128
+_MATLAB_NUMBERS: Final = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
+_COMPLEX_FIELDS: Final = (("real", "imag"), ("re", "im"), ("r", "i"))
+_CHILD: Final = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from mvla_sim.channel.readers import array_files; "
+    "array_files._answer(sys.argv[2], json.loads(sys.argv[3]))"
+)
+
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class ArrayEntry:
+    """What a file says of one of its arrays.
+
+    Attributes
+    ----------
+    shape
+        Its lengths, those of 1 included.
+    refusal
+        What it is instead of numbers ("text"); None where it is numbers.
+    """
+
+    shape: tuple[int, ...]
+    refusal: str | None = None
+
+
+Entries = dict[str, ArrayEntry]
+
+
+@dataclass(frozen=True)
+class ArrayFile:
+    """The named arrays of a file.
+
+    Attributes
+    ----------
+    file
+        Where it is.
+    entries
+        What it holds, by name.
+    loaded
+        Arrays that are in memory already, by name.
+    """
+
+    file: Path
+    entries: Mapping[str, ArrayEntry]
+    loaded: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of everything in the file, also of what is not numbers."""
+        return tuple(self.entries)
+
+    def get(self, name: str) -> NDArray[Any]:
+        """Return an array of integers, floats or complex numbers without its lengths of 1; it may be read-only.
+
+        Raises
+        ------
+        DataError
+            There is none of this name, it is not numbers, or the file does not bear out what it says of it.
+        """
+        name = name.strip("/")
+        entry = self.entries.get(name)
+        if entry is None:
+            raise DataError(f"{self.file}: has no variable '{shown(name)}'; it has {self._contents()}")
+        if entry.refusal:
+            raise DataError(f"{self.file}: variable '{shown(name)}' is {entry.refusal}, must be an array of numbers")
+        values = self.loaded[name] if name in self.loaded else _read(self.file, [name])[1][name]
+        return values.squeeze()
+
+    def _contents(self) -> str:
+        texts = [f"{shown(name)} {entry.refusal or entry.shape}" for name, entry in self.entries.items()]
+        more = f" and {len(texts) - _MOST_LISTED} more" if len(texts) > _MOST_LISTED else ""
+        return ", ".join(texts[:_MOST_LISTED]) + more or "none"
+
+
+def read_array_file(file: str | os.PathLike[str], ahead: Sequence[str] = ()) -> ArrayFile:
+    """List the arrays of a file; they are read when they are asked for.
+
+    Links in an HDF5 file are not followed, nor are datasets read whose values are in another file.
+
+    Parameters
+    ----------
+    file
+        The file; its suffix says what it is.
+    ahead
+        Names of arrays to read at once where they are numbers, for another opening costs up to half a second.
+
+    Raises
+    ------
+    DataError
+        No such file, of another format, damaged, with too many arrays, or one of ``ahead`` is larger than the file can
+        hold or the memory.
+    """
+    path = existing_file(file, "file of arrays")
+    return ArrayFile(path, *_read(path, [name.strip("/") for name in ahead]))
+
+
+def _read(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
+    suffix = file.suffix.lower()
+    if suffix not in (".mat", ".npz", ".h5", ".hdf5", ".nc"):
+        raise DataError(f"{file}: unknown suffix '{file.suffix}'; allowed: .mat, .npz, .h5, .hdf5, .nc")
+    try:
+        if suffix != ".npz":
+            return _read_apart(file, wanted)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy warns of odd headers; here they are right or refused
+            return _read_npz(file, wanted)
+    except DataError:
+        raise
+    except Exception as error:  # zipfile and NumPy raise whatever a broken file trips over
+        raise DataError(f"{file}: is not a readable {suffix} file ({shown(error)})") from error
+
+
+def _read_npz(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
+    entries, loaded = Entries(), Arrays()
+    with zipfile.ZipFile(file) as archive:
+        members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
+        _check_number(file, len(members))
+        for member in members:
+            name = member.filename.removesuffix(".npy")
+            if name in entries:
+                raise DataError(f"{file}: has two arrays of the name '{shown(name)}'")
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others grow without a bound
+                raise DataError(f"{file}: is packed by method {member.compress_type}, which NumPy does not write")
+            with archive.open(member) as stream:
+                entries[name], values = _read_npy(file, name, stream, member.file_size, load=name in wanted)
+            if values is not None:
+                loaded[name] = values
+    return entries, loaded
+
+
+def _read_npy(
+    file: Path, name: str, stream: IO[bytes], size: int, *, load: bool
+) -> tuple[ArrayEntry, NDArray[Any] | None]:
+    """Entry of an array in a stream that should have ``size`` bytes, and the array if it is to be loaded."""
+    start = io.BytesIO(stream.read(_HEADER_BYTES))
+    version = np.lib.format.read_magic(start)
+    if version not in ((1, 0), (2, 0)):
+        return ArrayEntry((), f"of .npy version {version[0]}.{version[1]}"), None
+    older, newer = np.lib.format.read_array_header_1_0, np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = (older if version == (1, 0) else newer)(start)
+    entry = ArrayEntry(shape, _refusal(dtype))
+    if entry.refusal or not load:
+        return entry, None
+    _check_claim(file, name, shape, dtype.itemsize)
+    offset, count = start.tell(), math.prod(shape)
+    if min(shape, default=0) < 0 or offset + count * dtype.itemsize != size:
+        raise DataError(f"{file}: variable '{shown(name)}' announces shape {shape}, its {size} bytes do not hold that")
+    content = start.getvalue() + stream.read(max(size - _HEADER_BYTES, 0))
+    return entry, _plain(np.frombuffer(content, dtype, count, offset).reshape(shape, order="F" if fortran else "C"))
+
+
+def _read_apart(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
+    """Read a MATLAB or HDF5 file in another process, which may crash."""
+    path = json.dumps([place or str(Path.cwd()) for place in sys.path])
+    command = [sys.executable, "-I", "-c", _CHILD, path, str(file), json.dumps(list(wanted))]
+    quiet = os.environ | {"OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::"}  # "::": load no foreign filters
+    with tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as complaint:
+        limit_s = _patience_s(file)
+        try:
+            code = subprocess.run(  # noqa: S603 - this very interpreter
+                command, stdin=subprocess.DEVNULL, stdout=answer, stderr=complaint, env=quiet, timeout=limit_s,
+                check=False,
+            ).returncode  # fmt: skip
+        except subprocess.TimeoutExpired as error:
+            raise DataError(f"{file}: is not read within {limit_s:g} s; it is damaged or of another format") from error
+        answer.seek(0)
+        complaint.seek(0)
+        if code:
+            lines = complaint.read(1 << 20).decode(errors="replace").split("\n")
+            said = next((line for line in reversed(lines) if line.strip()), f"exit code {code}")
+            reason = f"reading it ends with signal {-code}" if code < 0 else shown(said)
+            raise DataError(f"{file}: is damaged or not a {file.suffix} file ({reason})")
+        told = json.loads(answer.readline())
+        if isinstance(told, str):
+            raise DataError(told)
+        entries = {name: ArrayEntry(tuple(shape), refusal) for name, shape, refusal in told["entries"]}
+        return entries, {name: np.lib.format.read_array(answer, allow_pickle=False) for name in told["loaded"]}
+
+
+def _patience_s(file: Path) -> float:
+    return math.ceil(_PATIENCE_S + file.stat().st_size / _BYTES_A_SECOND)
+
+
+def _answer(file: str, wanted: Sequence[str]) -> None:
+    """Be the other process: write the entries as a line of JSON, then each array, or the message of an error."""
+    path, memory = Path(file), psutil.virtual_memory().available * USABLE + psutil.Process().memory_info().vms
+    limits = {resource.RLIMIT_AS: memory, resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: _patience_s(path)}
+    for kind, limit in limits.items():
+        hard = resource.getrlimit(kind)[1]
+        resource.setrlimit(kind, (int(limit) if hard == resource.RLIM_INFINITY else min(int(limit), hard), hard))
+    warnings.simplefilter("ignore")
+    out = sys.stdout.buffer
+    try:
+        entries, loaded = (_hdf5 if _is_hdf5(path) else _matlab)(path, wanted)
+    except DataError as error:
+        out.write(json.dumps(str(error)).encode())
+        return
+    told = {"entries": [(name, e.shape, e.refusal) for name, e in entries.items()], "loaded": list(loaded)}
+    out.write(json.dumps(told).encode() + b"\n")
+    for values in loaded.values():
+        np.lib.format.write_array(out, values, allow_pickle=False)
+
+
+def _is_hdf5(file: Path) -> bool:
+    """Whether the signature is where HDF5 looks for it: at the start, at 512 bytes, and at each double of that."""
+    with file.open("rb") as handle:
+        size, at = file.stat().st_size, 0
+        while at < size:
+            handle.seek(at)
+            if handle.read(8) == b"\x89HDF\r\n\x1a\n":
+                return True
+            at = at * 2 or 512
+    return False
+
+
+def _matlab(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
+    """Read a MATLAB 5 to 7 file with SciPy."""
+    with file.open("rb") as handle:
+        start = handle.read(128)
+    if start.startswith(b"CDF"):
+        raise DataError(f"{file}: is classic NetCDF-3, which is not read; convert it with nccopy -k nc4")
+    if file.suffix.lower() != ".mat" or start[124:128] not in (b"\x00\x01IM", b"\x01\x00MI"):
+        kind = "MATLAB 5 to 7.3" if file.suffix.lower() == ".mat" else "HDF5"
+        raise DataError(f"{file}: is no {kind} file")
+    import scipy.io.matlab as sio  # noqa: PLC0415 - slow, and only here is it needed
+
+    listed = sio.whosmat(file)
+    _check_number(file, len(listed))
+    if len({name for name, _, _ in listed}) < len(listed):
+        raise DataError(f"{file}: has two variables of one name")
+    entries = {
+        name: ArrayEntry(shape, None if kind in _MATLAB_NUMBERS else f"of class {kind}")
+        for name, shape, kind in listed
+        if kind != "struct"
+    }
+    asked = [name for name in wanted if name in entries and entries[name].refusal is None]
+    for name in asked:
+        _check_claim(file, name, entries[name].shape, 1)  # a byte is the least that MATLAB stores for a number
+    structs = [name for name, _, kind in listed if kind == "struct"]
+    content = sio.loadmat(file, variable_names=[*asked, *structs]) if asked or structs else {}
+    loaded = {name: _plain(np.asarray(content[name])) for name in asked}
+    for name in structs:
+        if content[name].size != 1:
+            entries[name] = ArrayEntry(content[name].shape, "an array of structs")
+            continue
+        for part in content[name].dtype.names or ():
+            values = np.asanyarray(content[name].flat[0][part])
+            label = f"{name}.{part}"
+            entries[label] = ArrayEntry(values.shape, _refusal(values.dtype))
+            if label in wanted and entries[label].refusal is None:
+                loaded[label] = _plain(values)
+    return entries, loaded
+
+
+def _hdf5(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
+    """Read an HDF5 file; those of MATLAB have their axes the other way round and structs for groups."""
+    import h5py  # noqa: PLC0415 - slow, and only here is it needed
+
+    matlab, netcdf = (file.suffix.lower() == suffix for suffix in (".mat", ".nc"))
+    entries, loaded = Entries(), Arrays()
+    with h5py.File(file, "r") as handle:
+        for name, dataset in _datasets(file, handle, matlab=matlab):
+            shape = dataset.shape or ()
+            entry = ArrayEntry(shape[::-1] if matlab else shape, _dataset_refusal(dataset))
+            if netcdf and _text(dataset, "NAME").startswith("This is a netCDF dimension but not a netCDF variable"):
+                continue
+            entries[name] = entry
+            if name in wanted and entry.refusal is None:
+                _check_claim(file, name, entry.shape, dataset.dtype.itemsize)
+                values = _plain(_unpacked(np.asarray(dataset[()]), dataset.attrs if netcdf else {}))
+                loaded[name] = values.T if matlab else values
+    return entries, loaded
+
+
+def _datasets(file: Path, root: Any, *, matlab: bool) -> Iterator[tuple[str, Any]]:
+    """Yield names and datasets of an open HDF5 file, each group once; no soft or external link is followed."""
+    import h5py  # noqa: PLC0415 - slow, and only here is it needed
+
+    groups, seen, count = [("", root)], {h5py.h5o.get_info(root.id).addr}, 0
+    while groups:
+        prefix, group = groups.pop(0)
+        for name in group:
+            count += 1
+            _check_number(file, count)
+            if matlab and name.startswith("#"):
+                continue  # "#refs#" and the like are MATLAB's own
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                continue
+            child = group[name]
+            if isinstance(child, h5py.Dataset):
+                yield prefix + name, child
+            elif isinstance(child, h5py.Group) and (address := h5py.h5o.get_info(child.id).addr) not in seen:
+                seen.add(address)
+                groups.append((f"{prefix}{name}{'.' if matlab else '/'}", child))
+
+
+def _dataset_refusal(dataset: Any) -> str | None:
+    """Say what an HDF5 dataset is instead of numbers in this very file."""
+    if dataset.shape is None or "MATLAB_empty" in dataset.attrs:
+        return "empty"
+    if dataset.is_virtual or dataset.external:
+        return "in another file"
+    kind = _text(dataset, "MATLAB_class")
+    return _refusal(dataset.dtype) if kind in ("", *_MATLAB_NUMBERS) else f"of class {shown(kind)}"
+
+
+def _text(dataset: Any, attribute: str) -> str:
+    value = dataset.attrs.get(attribute, "")
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+
+
+def _unpacked(values: NDArray[Any], attributes: Mapping[str, Any]) -> NDArray[Any]:
+    """Apply the packing conventions of NetCDF: missing values become NaN, scaled integers what they stand for."""
+    if values.dtype.kind in "iuf":
+        if "_FillValue" in attributes:
+            fill = np.ravel(attributes["_FillValue"])[0]
+            values = np.where(values == fill, np.nan, values)
+        for key, apply in (("scale_factor", np.multiply), ("add_offset", np.add)):
+            if key in attributes:
+                values = apply(values, np.float64(np.ravel(attributes[key])[0]))
+    return values
+
+
+def _complex_fields(dtype: np.dtype[Any]) -> tuple[str, str] | None:
+    """Names of the real and imaginary part of a compound type that stands for complex numbers."""
+    for pair in _COMPLEX_FIELDS:
+        if dtype.names == pair and all(dtype[name].kind in "iuf" and dtype[name].itemsize <= 8 for name in pair):
+            return pair
+    return None
+
+
+def _refusal(dtype: np.dtype[Any]) -> str | None:
+    """Say what an array of this type is instead of numbers."""
+    if (dtype.kind in "iuf" and dtype.itemsize <= 8) or (dtype.kind == "c" and dtype.itemsize <= 16):
+        return None
+    if dtype.kind in "OSUT":
+        return "text or objects" if dtype.kind == "O" else "text"
+    return None if _complex_fields(dtype) else f"of type {shown(dtype)}"
+
+
+def _plain(values: NDArray[Any]) -> NDArray[Any]:
+    """Join complex numbers, and turn the bytes of a number into this machine's order."""
+    fields = _complex_fields(values.dtype)
+    if fields is not None:
+        joined = np.empty(values.shape, np.complex128)
+        joined.real, joined.imag = values[fields[0]], values[fields[1]]
+        return joined
+    if _refusal(values.dtype) is not None:
+        raise ValueError(f"an array of type {values.dtype}")
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
+
+
+def _check_number(file: Path, count: int) -> None:
+    if count > _MOST_ARRAYS:
+        raise DataError(f"{file}: has more than {_MOST_ARRAYS} arrays")
+
+
+def _check_claim(file: Path, name: str, shape: Sequence[int], itemsize: int) -> None:
+    """Refuse a shape that a file of this size cannot hold, or the memory not."""
+    size, count = file.stat().st_size, math.prod(shape)
+    if count * itemsize > _MOST_PACKED * size:
+        raise DataError(
+            f"{file}: variable '{shown(name)}' announces shape {tuple(shape)}, {size} bytes do not hold that"
+        )
+    try:
+        check_memory(count * _NUMBER_BYTES, f"{file}: the numbers of '{shown(name)}'", "keep fewer in the file")
+    except ConfigError as error:
+        raise DataError(str(error)) from error
+
+
+def shown(value: object) -> str:
+    """Text of a foreign value, short and in one line; the type's name of an exception that says nothing."""
+    text = " ".join(str(value).split())[:80]
+    return "".join(c if c.isprintable() else "?" for c in text) or (type(value).__name__ if value != "" else "")

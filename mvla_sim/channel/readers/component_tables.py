@@ -1,0 +1,194 @@
+"""Reader of ready-made multipath components: a CSV file with a header and one component a row, in any order.
+
+==========================================  ========================================================================
+column                                      what it holds
+==========================================  ========================================================================
+``view``                                    number of the view, from 0
+one of ``delay_s``, ``delay_ns``            round-trip delay
+or ``range_m``                              one-way range, c·τ/2
+one of ``power``, ``power_db``              power, linear or in dB
+``angle_deg``                               if known: angle of the view
+``x_m``, ``y_m``, ``z_m``                   if known: position of the sensor, or of its transmitter; z may be left out
+``rx_x_m``, ``rx_y_m``, ``rx_z_m``          if it is elsewhere: position of the receiver; z may be left out
+==========================================  ========================================================================
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mvla_sim.constants import delay_to_range
+from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.files import existing_file
+from mvla_sim.memory import check_memory
+from mvla_sim.scene.positions import PLACE, RECEIVER, Columns, read_columns
+
+__all__ = ["ComponentTable", "read_components"]
+
+LARGEST_VIEW: Final = 999_999
+LONGEST_DELAY_S: Final = 1.0
+LARGEST_COORDINATE_M: Final = 1e9
+LARGEST_LEVEL_DB: Final = 300.0
+"""Beyond these, levels either side of 0 dB, a file is damaged or in other units."""
+
+_DISTANCES: Final[dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]]] = {
+    "delay_s": delay_to_range,
+    "delay_ns": lambda delay_ns: delay_to_range(delay_ns * 1e-9),
+    "range_m": lambda range_m: range_m,
+}
+_POWERS: Final[dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]]] = {
+    "power": lambda power: power,
+    "power_db": lambda power_db: 10 ** (power_db / 10),
+}
+_PER_VIEW: Final = ("angle_deg", *PLACE, *RECEIVER)
+_MEMORY_A_BYTE: Final = 30  # of the text, whose words take some 50 bytes each while they are read
+
+
+@dataclass(frozen=True)
+class ComponentTable:
+    """Components view after view, within a view by rising range.
+
+    Attributes
+    ----------
+    range_m
+        One-way range of each component, ``[n_component]`` float64, metres.
+    power
+        Power of each, ``[n_component]`` float64, linear, above 0; its unit is the file's.
+    row_size
+        Components of each view, ``[n_view]`` int64; may be 0.
+    angles_deg
+        Angle of each view as the file counts it, ``[n_view]`` float64, degrees; None where it is not in the file.
+    positions_m, receivers_m
+        Position of the sensor, or of its transmitter, and of the receiver, ``[n_view, 3]`` float64, metres; None where
+        they are not in the file.
+    """
+
+    range_m: NDArray[np.float64]
+    power: NDArray[np.float64]
+    row_size: NDArray[np.int64]
+    angles_deg: NDArray[np.float64] | None = None
+    positions_m: NDArray[np.float64] | None = None
+    receivers_m: NDArray[np.float64] | None = None
+
+
+def read_components(file: str | os.PathLike[str]) -> ComponentTable:
+    """Read a CSV file of components.
+
+    Parameters
+    ----------
+    file
+        The file. What it says of a view (angle, positions) must be the same in all its rows. A view between 0 and the
+        last that has no row is one without components, unless the file gives angles or positions: its own are then
+        unknown.
+
+    Returns
+    -------
+    ComponentTable
+        A z that is not given is 0, or for receivers that of the transmitter.
+
+    Raises
+    ------
+    DataError
+        One line with file, line and column.
+    """
+    path = existing_file(file, "components file")
+    try:
+        check_memory(path.stat().st_size * _MEMORY_A_BYTE, f"{path}: its numbers", "split the file")
+        numbers, _ = read_columns(path, "components file", ("view",), (*_DISTANCES, *_POWERS, *_PER_VIEW))
+    except (ConfigError, DataError) as error:
+        raise DataError(" ".join(str(error).splitlines())) from error
+    except OSError as error:
+        raise DataError(f"{path}: not readable ({error.strerror})") from error
+    view = _views(path, numbers)
+    distance = _only_one(path, numbers, tuple(_DISTANCES))
+    level = _only_one(path, numbers, tuple(_POWERS))
+    with np.errstate(all="ignore"):
+        range_m, power = _DISTANCES[distance](numbers[distance]), _POWERS[level](numbers[level])
+    farthest_m = delay_to_range(LONGEST_DELAY_S)
+    _check(path, numbers, distance, (range_m >= 0) & (range_m <= farthest_m), f"0 to {farthest_m:.4g} m of range")
+    most = 10 ** (LARGEST_LEVEL_DB / 10)
+    usual = (power >= 1 / most) & (power <= most)
+    _check(path, numbers, level, usual, f"above 0, {1 / most:g} to {most:g} or ±{LARGEST_LEVEL_DB:g} dB")
+    row_size = np.bincount(view).astype(np.int64)
+    fixed = _fixed(path, numbers, view, row_size)
+    order = np.lexsort((range_m, view))
+    positions_m = _points(fixed, PLACE, np.zeros(row_size.size))
+    receivers_m = None if positions_m is None else _points(fixed, RECEIVER, positions_m[:, 2])
+    return ComponentTable(range_m[order], power[order], row_size, fixed.get("angle_deg"), positions_m, receivers_m)
+
+
+def _only_one(path: Path, numbers: Columns, names: Sequence[str]) -> str:
+    found = [name for name in names if name in numbers]
+    if len(found) != 1:
+        raise DataError(f"{path}: line 1: has {' and '.join(found) or 'none'} of {', '.join(names)}; give exactly one")
+    return found[0]
+
+
+def _views(path: Path, numbers: Columns) -> NDArray[np.int64]:
+    """Views of the rows ``[n_row]``."""
+    value = numbers["view"]
+    whole = (value >= 0) & (value <= LARGEST_VIEW) & (value == np.floor(value))
+    _check(path, numbers, "view", whole, f"a whole number from 0 to {LARGEST_VIEW}")
+    return value.astype(np.int64)
+
+
+def _fixed(path: Path, numbers: Columns, view: NDArray[np.int64], row_size: NDArray[np.int64]) -> Columns:
+    """What the file says of its views: columns ``[n_view]``."""
+    names = [name for name in _PER_VIEW if name in numbers]
+    for kind, partners in (("positions", PLACE), ("receivers", RECEIVER)):
+        lacking = [name for name in partners[:2] if name not in names]
+        if lacking and any(name in names for name in partners):
+            raise DataError(
+                f"{path}: line 1: missing column '{lacking[0]}'; {kind} need {partners[0]} and {partners[1]}"
+            )
+    if RECEIVER[0] in names and PLACE[0] not in names:
+        raise DataError(f"{path}: line 1: missing column '{PLACE[0]}'; receivers need the positions of transmitters")
+    if names and not row_size.all():
+        raise DataError(
+            f"{path}: view {row_size.argmin()} of 0 to {row_size.size - 1} has no row, so its {names[0]} is unknown"
+        )
+    first = np.unique(view, return_index=True)[1]
+    fixed = {}
+    for name in names:
+        fixed[name] = numbers[name][first]
+        if name != "angle_deg":
+            _check(path, numbers, name, np.abs(numbers[name]) <= LARGEST_COORDINATE_M, f"±{LARGEST_COORDINATE_M:g} m")
+        same = numbers[name] == fixed[name][view]
+        if not same.all():
+            row = int(same.argmin())
+            raise DataError(
+                f"{path}: line {_line(path, row)}, column {name}: {numbers[name][row]:.10g} differs from "
+                f"{fixed[name][view[row]]:.10g} in an earlier row of view {view[row]}"
+            )
+    return fixed
+
+
+def _points(fixed: Columns, names: Sequence[str], height_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Points ``[n_view, 3]`` of three columns, the third of which may be missing; None where all are."""
+    x, y, z = names
+    return np.column_stack([fixed[x], fixed[y], fixed.get(z, height_m)]) if x in fixed else None
+
+
+def _check(path: Path, numbers: Columns, column: str, good: NDArray[np.bool_], allowed: str) -> None:
+    if not good.all():
+        row = int(good.argmin())
+        raise DataError(
+            f"{path}: line {_line(path, row)}, column {column}: {numbers[column][row]:.10g} must be {allowed}"
+        )
+
+
+def _line(path: Path, row: int) -> int:
+    """Line of the file that a row of numbers is in."""
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        reader = csv.reader(stream, strict=True)
+        next(reader)
+        lines = (reader.line_num for cells in reader if cells)
+        return next(line for n, line in enumerate(lines) if n == row)

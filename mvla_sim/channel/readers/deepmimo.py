@@ -1,0 +1,366 @@
+"""Reader of DeepMIMO v4 scenarios: a folder with ``params.json`` and the paths as one array a file.
+
+A file is named by its array, the set and the number of the transmitter, and the set of the receivers:
+``power_t000_tx000_r001.npz``. It is an ``.npz`` with one member of the array's name, a MATLAB 5 ``.mat`` with one
+variable of that name, or a plain ``.npy``:
+
+* ``rx_pos`` ``[n_rx, 3]`` and ``tx_pos`` ``[1, 3]`` or ``[3]``, metres
+* ``power`` ``[n_rx, n_slot]``, dB: dBW received for 0 dBW transmitted
+* ``phase`` ``[n_rx, n_slot]``, degrees; ``delay`` ``[n_rx, n_slot]``, seconds
+* ``inter`` ``[n_rx, n_slot]``: a decimal digit for each interaction, from the transmitter on; 1 reflection,
+  2 diffraction, 3 scattering, 4 transmission; 0 alone is the direct path
+* ``inter_pos`` ``[n_rx, n_slot, n_interaction, 3]``, metres
+
+Slots without a path are NaN in all of them. ``params.json`` holds ``rt_params.frequency`` in hertz.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import re
+import struct
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+
+from mvla_sim.channel.cir import INTERACTIONS
+from mvla_sim.channel.readers.pairs import PairPaths, join_pairs
+from mvla_sim.errors import DataError
+from mvla_sim.files import existing_file
+from mvla_sim.memory import USABLE
+
+__all__ = ["read_deepmimo"]
+
+_LARGEST_ARRAY_BYTES: Final = 4 << 30
+_LARGEST_PARAMS_BYTES: Final = 64 << 20
+_HEADER_BYTES: Final = 4096  # of .npy; DeepMIMO's own take 128
+_MAT_VARIABLES: Final = 100  # DeepMIMO writes one
+_MAT_MATRIX, _MAT_COMPRESSED, _MAT_COMPLEX = 14, 15, 0x800
+_MAT_NUMBERS: Final = range(6, 16)  # classes double, single and the integers
+_MAT_TYPES: Final = {
+    1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8",
+}  # fmt: skip
+_ARRAYS: Final = ("rx_pos", "tx_pos", "power", "phase", "delay", "inter")
+_FILE: Final = re.compile(rf"({'|'.join(_ARRAYS)}|inter_pos)_(t\d{{1,6}}_tx\d{{1,6}}_r\d{{1,6}})\.(?:mat|npz|npy)")
+_BITS: Final = np.array([0, *(INTERACTIONS[n] for n in ("specular", "diffraction", "diffuse", "refraction"))], np.uint8)
+_MOST_DIGITS: Final = 15  # of an interaction code; float64 holds no more
+_MOST_POINTS: Final = 100  # of a path; DeepMIMO keeps 10
+_SLOT_BYTES: Final = 150  # of memory for a slot of all arrays, while they are put together
+
+
+def read_deepmimo(folder: str | os.PathLike[str]) -> PairPaths:
+    """Read every transmitter and every set of receivers of a scenario.
+
+    The arrays that lie in the folder decide what is read; ``params.json`` gives the carrier and says who traced the
+    paths. A scenario of several scenes has a folder for each of them; give one of these.
+
+    Parameters
+    ----------
+    folder
+        The scenario's folder.
+
+    Returns
+    -------
+    PairPaths
+        One pair for each transmitter and receiver, those without paths included. Scenarios of Sionna RT hold the phase
+        before the carrier's −2πfτ, which is added where the carrier is known; of other tracers it is taken as it is.
+
+    Raises
+    ------
+    DataError
+        No such folder, no scenario, or an array that is missing, damaged, too large or at odds with the others.
+    """
+    place = Path(folder)
+    try:
+        params = _params(place)
+        arrays = _arrays_of(place)
+    except OSError as error:
+        raise DataError(f"{place}: not readable ({error.strerror})") from error
+    carrier_hz, tracer = _carrier(place, params), _text(params["rt_params"].get("raytracer_name"))
+    turned = tracer.startswith("Sionna") and carrier_hz is not None
+    parts, cut = [], 0
+    for code, files in sorted(arrays.items()):
+        absent = [name for name in _ARRAYS if name not in files]
+        if absent:
+            raise DataError(f"{place / absent[0]}_{code}: no such array, though there is {next(iter(files.values()))}")
+        with np.errstate(all="ignore"):  # PairPaths refuses what is not finite
+            part, beyond = _pairs(files, carrier_hz, turned=turned)
+        parts.append(part)
+        cut += beyond
+    if not parts:
+        raise DataError(f"{place}: holds no arrays of paths such as power_t000_tx000_r001.npz")
+    source = {
+        "format": "DeepMIMO v4",
+        "folder": place.resolve().name,
+        "deepmimo_version": _text(params.get("version")),
+        "raytracer": f"{tracer} {_text(params['rt_params'].get('raytracer_version'))}",
+        "phase": "of the file, less 2 pi carrier delay" if turned else "of the file",
+        "arrays": f"{len(parts)} of a transmitter and a receiver set",
+        "interaction_codes_cut": str(cut),
+    }
+    return join_pairs(parts, source)
+
+
+def _params(place: Path) -> dict[str, Any]:
+    """Content of ``params.json``, with ``rt_params`` as an object in it."""
+    if not place.is_dir():
+        raise DataError(f"{place}: no such folder of a DeepMIMO scenario")
+    file = place / "params.json"
+    scenes = [] if file.exists() else sorted(place.glob("*/params.json"))
+    if scenes:
+        raise DataError(f"{place}: holds scenes in folders of their own; give one of them, such as {scenes[0].parent}")
+    file = existing_file(file, "DeepMIMO v4 scenario")
+    if file.stat().st_size > _LARGEST_PARAMS_BYTES:
+        raise DataError(f"{file}: is larger than {_LARGEST_PARAMS_BYTES >> 20} MiB; this is no DeepMIMO scenario")
+    try:
+        params = json.loads(file.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{file}: is not readable JSON ({_text(error)})") from error
+    if not isinstance(params, dict) or not isinstance(params.get("rt_params"), dict):
+        raise DataError(f"{file}: has no object rt_params; this is no DeepMIMO v4 scenario")
+    return params
+
+
+def _carrier(place: Path, params: dict[str, Any]) -> float | None:
+    """Carrier in hertz, None where ``frequency`` is missing or 0, as DeepMIMO writes what it does not know."""
+    value = params["rt_params"].get("frequency")
+    if value is None:
+        return None
+    try:
+        carrier_hz = math.nan if isinstance(value, bool) else float(value)  # NumPy scalars are written as text
+    except (TypeError, ValueError, OverflowError):
+        carrier_hz = math.nan
+    if not 0 <= carrier_hz < math.inf:
+        raise DataError(
+            f"{place / 'params.json'}: rt_params.frequency is {_text(value)!r}, must be hertz above 0, or 0 if unknown"
+        )
+    return carrier_hz or None
+
+
+def _arrays_of(place: Path) -> dict[str, dict[str, Path]]:
+    """Files of the folder by the code of transmitter and receiver set, and by array."""
+    found: dict[str, dict[str, Path]] = {}
+    for file in sorted(place.iterdir()):
+        match = _FILE.fullmatch(file.name)
+        if match is None:
+            continue
+        name, code = match.groups()
+        known = found.setdefault(code, {}).setdefault(name, file)
+        if known is not file:
+            raise DataError(f"{file}: {known.name} holds the same array; keep one of the two")
+    return found
+
+
+def _pairs(files: dict[str, Path], carrier_hz: float | None, *, turned: bool) -> tuple[PairPaths, int]:
+    """Pairs of one transmitter and one set of receivers, and how many interaction codes were cut."""
+    receivers, transmitter = _array(files["rx_pos"], "rx_pos"), _array(files["tx_pos"], "tx_pos")
+    if receivers.ndim != 2 or receivers.shape[1] != 3:
+        raise DataError(f"{files['rx_pos']}: rx_pos has shape {receivers.shape}, must be [receivers, 3]")
+    if transmitter.size != 3:
+        raise DataError(f"{files['tx_pos']}: tx_pos has shape {transmitter.shape}, must be [1, 3]")
+    power = _array(files["power"], "power")
+    if power.ndim != 2 or len(power) != len(receivers):
+        raise DataError(f"{files['power']}: power has shape {power.shape}, must be [{len(receivers)} receivers, paths]")
+    _check_size(files["power"], power.size * _SLOT_BYTES, most=math.inf)
+    slots = {"power": power} | {name: _array(files[name], name) for name in ("phase", "delay", "inter")}
+    present = ~np.isnan(power)
+    for name, values in slots.items():
+        if values.shape != power.shape:
+            raise DataError(f"{files[name]}: {name} has shape {values.shape}, power has {power.shape}")
+        if values.dtype.kind == "f" and (np.isnan(values) == present).any():
+            receiver, slot = np.argwhere(np.isnan(values) == present)[0]
+            raise DataError(f"{files[name]}: receiver {receiver}, path {slot} is NaN either in {name} or in power only")
+    row = np.nonzero(present)[0]
+    power_db, phase_deg, delay_s = (slots[name][present].astype(np.float64) for name in ("power", "phase", "delay"))
+    interaction, cut = _interactions(files["inter"], slots["inter"][present])
+    first_point = np.full((row.size, 3), np.nan, np.float32)
+    if "inter_pos" in files:
+        first_point = _first_points(files["inter_pos"], present)
+        first_point[interaction == 0] = np.nan
+    order = np.lexsort((delay_s, row))
+    phase_rad = np.deg2rad(phase_deg)
+    if turned and carrier_hz is not None:
+        phase_rad -= 2 * np.pi * carrier_hz * delay_s
+    gain = np.float_power(10, power_db / 20) * np.exp(1j * phase_rad)
+    try:
+        part = PairPaths(
+            transmitters_m=np.tile(transmitter.reshape(3).astype(np.float64), (len(receivers), 1)),
+            receivers_m=receivers.astype(np.float64),
+            row_size=present.sum(axis=1).astype(np.int64),
+            gain=gain[order],
+            delay_s=delay_s[order],
+            interaction=interaction[order],
+            first_point_m=first_point[order],
+            carrier_hz=carrier_hz,
+        )
+    except DataError as error:
+        raise DataError(f"{files['power']} and its companions: {error}") from error
+    return part, cut
+
+
+def _interactions(file: Path, codes: NDArray[Any]) -> tuple[NDArray[np.uint8], int]:
+    """Bits of the interaction codes ``[n_path]``, and how many codes lost digits to the number that holds them."""
+    values = codes.astype(np.float64)
+    wrong = ~((values >= 0) & (values < 10**_MOST_DIGITS) & (values == np.floor(values)))
+    rest = np.where(wrong, 0, values).astype(np.int64)
+    cut = np.zeros(rest.shape, np.bool_)
+    if codes.dtype.kind == "f":
+        exact = 2 ** (np.finfo(codes.dtype).nmant + 1)
+        cut = rest > exact
+        while (long := cut & (rest * 10 > exact)).any():  # only the leading digits are those that were written
+            rest[long] //= 10
+    bits = np.zeros(rest.shape, np.uint8)
+    while rest.any():
+        digit = rest % 10
+        wrong |= (rest > 0) & ((digit == 0) | (digit >= _BITS.size))
+        bits |= _BITS[np.where(digit < _BITS.size, digit, 0)]
+        rest //= 10
+    if wrong.any():
+        raise DataError(f"{file}: interaction code {codes[wrong][0]:.15g}: must be 0 or of the digits 1 to 4")
+    return bits, int(np.count_nonzero(cut))
+
+
+def _first_points(file: Path, present: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """First known interaction point of each path, ``[n_path, 3]`` metres; NaN where there is none."""
+    points = _array(file, "inter_pos")
+    if points.ndim != 4 or points.shape[:2] != present.shape or points.shape[3] != 3:
+        raise DataError(f"{file}: inter_pos has shape {points.shape}, must be {(*present.shape, 'interactions', 3)}")
+    if points.shape[2] > _MOST_POINTS:
+        raise DataError(f"{file}: inter_pos has room for {points.shape[2]} interactions a path, at most {_MOST_POINTS}")
+    first = np.full((np.count_nonzero(present), 3), np.nan)
+    for nth in range(points.shape[2]):
+        unknown = np.isnan(first).any(axis=1)
+        first[unknown] = points[:, :, nth][present][unknown]
+    first[np.isnan(first).any(axis=1)] = np.nan
+    return first.astype(np.float32)
+
+
+def _array(file: Path, name: str) -> NDArray[Any]:
+    """Read the array of a file: real numbers, of a size that the file's bytes bear out."""
+    existing_file(file, "DeepMIMO array")
+    size = file.stat().st_size
+    _check_size(file, size)
+    reader = {".npy": _read_npy, ".npz": _read_npz, ".mat": _read_mat}[file.suffix]
+    try:
+        with warnings.catch_warnings(), file.open("rb") as handle:
+            warnings.simplefilter("ignore")  # the parsers warn of what is odd; here it is right or refused
+            values = reader(file, handle, size, name)
+    except DataError:
+        raise
+    except Exception as error:  # the parsers raise whatever a broken file trips over
+        raise DataError(f"{file}: is not a readable {file.suffix} file ({_text(error)})") from error
+    if values.dtype.kind not in "fiu" or values.dtype.itemsize > 8:
+        raise DataError(f"{file}: {name} has type {values.dtype}, must be real numbers")
+    return values
+
+
+def _read_npz(file: Path, handle: BinaryIO, _size: int, name: str) -> NDArray[Any]:
+    with zipfile.ZipFile(handle) as archive:
+        if archive.namelist().count(f"{name}.npy") != 1:
+            raise DataError(f"{file}: has no array named {name}, or several")
+        member = archive.getinfo(f"{name}.npy")
+        _check_size(file, member.file_size)
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others grow without a bound
+            raise DataError(f"{file}: is packed by method {member.compress_type}, which NumPy does not write")
+        with archive.open(member) as stream:
+            return _read_npy(file, stream, member.file_size, name)
+
+
+def _read_npy(file: Path, stream: Any, size: int, name: str) -> NDArray[Any]:
+    """Read an array from a stream of ``size`` bytes."""
+    start = io.BytesIO(stream.read(min(size, _HEADER_BYTES)))
+    version = np.lib.format.read_magic(start)
+    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    if version not in headers:
+        raise DataError(f"{file}: is of .npy version {version}; 1.0 and 2.0 are read")
+    shape, fortran, dtype = headers[version](start)
+    offset, count = start.tell(), math.prod(shape)
+    if dtype.kind not in "fiu":
+        raise DataError(f"{file}: {name} has type {dtype}, must be real numbers")
+    if any(length < 0 for length in shape) or offset + count * dtype.itemsize != size:
+        raise DataError(f"{file}: announces an array of shape {_text(shape)}, which {size} bytes do not hold")
+    content = start.getvalue() + stream.read(max(size - _HEADER_BYTES, 0))
+    values = np.frombuffer(content, dtype, count, offset)
+    return values.reshape(shape, order="F" if fortran else "C")
+
+
+def _read_mat(file: Path, handle: BinaryIO, _size: int, name: str) -> NDArray[Any]:
+    """Read a variable of a MATLAB 5 file. SciPy's reader is not used: it runs out of its arrays where a file lies."""
+    found = []
+    for order, matrix in _mat_matrices(file, handle.read()):
+        (_, flags), at = _mat_part(order, matrix, 0)
+        (_, lengths), at = _mat_part(order, matrix, at)
+        (_, label), at = _mat_part(order, matrix, at)
+        if bytes(label) == name.encode():
+            found.append((order, flags, lengths, matrix, at))
+    if len(found) != 1:
+        raise DataError(f"{file}: has no variable named {name}, or several")
+    order, flags, lengths, matrix, at = found[0]
+    kind = struct.unpack_from(f"{order}I", flags)[0]
+    if kind & 0xFF not in _MAT_NUMBERS or kind & _MAT_COMPLEX:
+        raise DataError(f"{file}: {name} is not an array of real numbers")
+    (stored, data), _ = _mat_part(order, matrix, at)
+    shape = struct.unpack(f"{order}{len(lengths) // 4}i", lengths)
+    values = np.frombuffer(data, np.dtype(order + _MAT_TYPES[stored]))
+    if any(length < 0 for length in shape) or math.prod(shape) != values.size:
+        raise DataError(f"{file}: announces an array of shape {shape}, {values.size} numbers are there")
+    return values.reshape(shape, order="F")
+
+
+def _mat_matrices(file: Path, content: bytes) -> Iterator[tuple[str, memoryview]]:
+    """Yield byte order and content of each variable of a MATLAB 5 file, unpacked."""
+    order = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}.get(content[124:128])
+    if order is None:
+        raise DataError(f"{file}: is not of MATLAB's format 5 (saved with -v7); others are not read")
+    at = 128
+    for _ in range(_MAT_VARIABLES):
+        if at == len(content):
+            return
+        kind, size = struct.unpack_from(f"{order}2I", content, at)
+        at += 8
+        if size > len(content) - at or kind not in (_MAT_MATRIX, _MAT_COMPRESSED):
+            raise DataError(f"{file}: truncated or damaged {at} bytes from its start")
+        matrix = memoryview(content)[at : at + size]
+        if kind == _MAT_COMPRESSED:
+            stream = zlib.decompressobj()
+            unpacked = struct.unpack(f"{order}2I", stream.decompress(matrix, 8))[1]
+            _check_size(file, unpacked)
+            matrix = memoryview(stream.decompress(stream.unconsumed_tail, unpacked or 1))
+            if len(matrix) != unpacked:
+                raise DataError(f"{file}: announces {unpacked} bytes, {len(matrix)} are there")
+        yield order, matrix
+        at += size
+    raise DataError(f"{file}: has more than {_MAT_VARIABLES} variables; this is no DeepMIMO array")
+
+
+def _mat_part(order: str, matrix: memoryview, at: int) -> tuple[tuple[int, memoryview], int]:
+    """Type and bytes of the part of a variable that begins ``at``, and where the next one does."""
+    kind, size = struct.unpack_from(f"{order}2I", matrix, at)
+    if kind >> 16:  # up to four bytes are stored in place of their number
+        return (kind & 0xFFFF, matrix[at + 4 : at + 4 + min(kind >> 16, 4)]), at + 8
+    if size > len(matrix) - at - 8:
+        raise ValueError(f"a part of {size} bytes where {len(matrix) - at - 8} are left")
+    return (kind, matrix[at + 8 : at + 8 + size]), at + 8 + size + -size % 8
+
+
+def _check_size(file: Path, size: int, most: float = _LARGEST_ARRAY_BYTES) -> None:
+    """Refuse what is larger than ``most`` bytes, or than the free memory, were it copied twice."""
+    most = min(most, USABLE * psutil.virtual_memory().available / 3)
+    if size > most:
+        raise DataError(f"{file}: takes {size / 2**30:.2f} GiB; at most {most / 2**30:.2f} GiB can be read")
+
+
+def _text(value: object) -> str:
+    """Text of a foreign value, short and in one line."""
+    text = "unknown" if value is None else " ".join(str(value).split())[:80]
+    return text or type(value).__name__

@@ -1,0 +1,199 @@
+"""What runs on a worker around every task: fitness and threads once, one task at a time, errors as values."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import importlib
+import os
+import platform
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from mvla_sim.engine.backend import set_threads
+from mvla_sim.engine.machine import PACKAGES, core_count, package_versions
+from mvla_sim.errors import reason
+
+__all__ = [
+    "VERSIONED", "Broken", "Context", "Reply", "attempt", "call", "fair_share", "make", "single_threaded_algebra",
+    "source_digest", "thread_counts",
+]  # fmt: skip
+
+VERSIONED: Final = ("mvla-sim", *PACKAGES)
+"""Distributions of which every worker must have the coordinator's version."""
+
+PACKAGE: Final = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a worker must know of the run.
+
+    Attributes
+    ----------
+    topic
+        Name under which it announces the tasks it begins.
+    digest
+        :func:`source_digest` of the coordinator; None where the workers cannot have any other.
+    threads
+        Threads of Dr.Jit in each worker process; None lets the worker find its share.
+    crowded
+        (host, threads granted to all workers there) of hosts with several workers.
+    environment
+        Variables to set.
+    """
+
+    topic: str
+    digest: str | None
+    threads: int | None
+    crowded: tuple[tuple[str, int], ...] = ()
+    environment: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Reply:
+    """A task's value or its error in one line, seconds it took, and who did it; ``unfit`` ends the run."""
+
+    value: Any
+    error: str
+    seconds: float
+    worker: str
+    unfit: bool = False
+
+
+@dataclass(frozen=True)
+class Broken:
+    """In place of a shared value that could not be made."""
+
+    error: str
+
+
+class _Unfit(Exception):  # noqa: N818 - becomes one line at the coordinator
+    """This process may not work on the run."""
+
+
+_alone = threading.Lock()
+_settled: Context | None = None
+
+
+def call(context: Context, number: int, function: Callable[..., Any], *arguments: Any) -> Reply:
+    """Run one task; never raises. Workers with several threads do one task at a time, with all their threads."""
+    from distributed import get_worker  # noqa: PLC0415 - the in-process runner does without it
+    from distributed.utils import sync  # noqa: PLC0415
+
+    worker = get_worker()
+    with _alone, _no_nested_dask():
+        sync(worker.loop, worker.scheduler.log_event, topic=context.topic, msg=number)  # known there before it begins
+        return attempt(str(worker.name), lambda: _settle(context), function, *arguments)
+
+
+def make(context: Context, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Make a shared value, or :class:`Broken`; never raises."""
+    with _alone, _no_nested_dask():
+        reply = attempt("", lambda: _settle(context), function, *arguments)
+    return Broken(reply.error) if reply.error else reply.value
+
+
+def attempt(worker: str, prepare: Callable[[], None], function: Callable[..., Any], *arguments: Any) -> Reply:
+    """Call a function and wrap what comes of it."""
+    began = time.perf_counter()
+    value, error, unfit = None, "", False
+    try:
+        prepare()
+        broken = next((argument for argument in arguments if isinstance(argument, Broken)), None)
+        if broken is None:
+            value = function(*arguments)
+        else:
+            error = broken.error
+    except _Unfit as failure:
+        error, unfit = str(failure), True
+    except Exception as failure:  # noqa: BLE001 - an error is a result; the coordinator decides what it means
+        error = reason(failure)
+    return Reply(value, error, time.perf_counter() - began, worker, unfit)
+
+
+def fair_share(granted: int, granted_to_all: int, machine: int, usable: int) -> int:
+    """Threads a worker of somebody's cluster may use.
+
+    Parameters
+    ----------
+    granted
+        Threads it was started with.
+    granted_to_all
+        The same of all workers on its host together.
+    machine
+        Cores of the host.
+    usable
+        Cores the worker may run on.
+    """
+    if granted_to_all > machine:
+        granted = machine * granted // granted_to_all
+    return max(1, min(granted, usable))
+
+
+@functools.cache
+def source_digest() -> str:
+    """SHA-256, in hexadecimal, over Python's version, those of the packages that count, and this package's source."""
+    versions = {"python": platform.python_version(), **package_versions(VERSIONED)}
+    digest = hashlib.sha256(repr(sorted(versions.items())).encode())
+    for file in sorted(PACKAGE.rglob("*.py")):
+        digest.update(f"{file.relative_to(PACKAGE)}\n".encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+def thread_counts() -> dict[str, int]:
+    """Threads that Dr.Jit and linear algebra use here; several algebra libraries count as their largest."""
+    import threadpoolctl  # noqa: PLC0415
+
+    drjit = importlib.import_module("drjit")
+    algebra = [int(pool["num_threads"]) for pool in threadpoolctl.threadpool_info()]
+    return {"drjit": int(drjit.thread_count()), "algebra": max(algebra, default=1)}
+
+
+@contextlib.contextmanager
+def single_threaded_algebra() -> Iterator[None]:
+    """Within the block linear algebra uses one thread, so that no number depends on how many cores there are."""
+    import threadpoolctl  # noqa: PLC0415 - only where cases are computed
+
+    with threadpoolctl.threadpool_limits(1):
+        yield
+
+
+def _no_nested_dask() -> contextlib.AbstractContextManager[object]:
+    """Within the block xarray does not take files' locks from the scheduler, which knows none for those in memory."""
+    import dask  # noqa: PLC0415
+
+    nested: contextlib.AbstractContextManager[object] = dask.config.set(scheduler="synchronous")
+    return nested
+
+
+def _settle(context: Context) -> None:
+    """Make this process fit for a run, once: same program, its share of threads, variables."""
+    global _settled  # noqa: PLW0603 - a process belongs to one run at a time
+    if _settled == context:
+        return
+    if context.digest not in (None, source_digest()):
+        raise _Unfit("a worker that joined has another Python, mvla-sim or package that counts than this machine")
+    os.environ.update(dict(context.environment))
+    set_threads(_own_share(context) if context.threads is None else context.threads)
+    import threadpoolctl  # noqa: PLC0415
+
+    for library in ("numpy", "scipy.linalg"):  # what is loaded later reads the variables that workers are started with
+        importlib.import_module(library)
+    threadpoolctl.threadpool_limits(1)
+    _settled = context
+
+
+def _own_share(context: Context) -> int:
+    from distributed import get_worker  # noqa: PLC0415
+    from distributed.comm import get_address_host  # noqa: PLC0415
+
+    worker = get_worker()
+    granted = worker.state.nthreads
+    all_granted = dict(context.crowded).get(get_address_host(worker.address), granted)
+    return fair_share(granted, all_granted, os.cpu_count() or 1, core_count())

@@ -1,1 +1,0 @@
-"""Validated settings of every TOML file, and how errors in them are told."""

@@ -1,0 +1,156 @@
+"""Settings that may be one value, or a distribution that a value is drawn from: uniform, or a list of choices."""
+
+from __future__ import annotations
+
+import json
+import math
+import operator
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from pydantic import (
+    AfterValidator,
+    Field,
+    GetCoreSchemaHandler,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    model_validator,
+)
+from pydantic_core import CoreSchema, core_schema
+
+from mvla_sim.settings import Settings
+
+__all__ = [
+    "Choice", "Drawn", "Listed", "Real", "TextChoice", "Uniform", "Weight", "Whole", "WholeChoice", "WholeUniform",
+    "bounded", "values_of",
+]  # fmt: skip
+
+Weight = Annotated[float, Field(gt=0, le=1e12)]
+Weights = Annotated[tuple[Weight, ...] | None, Field(description="by default all choices are equally likely")]
+
+
+class _UniformBase(Settings):
+    @model_validator(mode="after")
+    def _check(self) -> Any:
+        low, high = self.min, self.max  # type: ignore[attr-defined]
+        if not low < high:
+            raise ValueError(f"min = {low:g} must be below max = {high:g}; for one value write the number alone")
+        if not math.isfinite(high - low):
+            raise ValueError(f"min = {low:g} and max = {high:g} are too far apart")
+        return self
+
+
+class _ChoiceBase(Settings):
+    @model_validator(mode="after")
+    def _check(self) -> Any:
+        choices, weights = self.choices, self.weights  # type: ignore[attr-defined]
+        if weights is not None and len(weights) != len(choices):
+            raise ValueError(f"weights has {len(weights)} entries for {len(choices)} choices")
+        return self
+
+
+class Uniform(_UniformBase):
+    """Any value from ``min`` to ``max``, all equally likely."""
+
+    min: float
+    max: float
+
+
+class Choice(_ChoiceBase):
+    """One of the numbers listed."""
+
+    choices: Annotated[tuple[float, ...], Field(min_length=1)]
+    weights: Weights = None
+
+
+class WholeUniform(_UniformBase):
+    """Any whole number from ``min`` to ``max``, both included."""
+
+    min: int
+    max: int
+
+
+class WholeChoice(_ChoiceBase):
+    """One of the whole numbers listed."""
+
+    choices: Annotated[tuple[int, ...], Field(min_length=1)]
+    weights: Weights = None
+
+
+class TextChoice(_ChoiceBase):
+    """One of the texts listed."""
+
+    choices: Annotated[tuple[str, ...], Field(min_length=1)]
+    weights: Weights = None
+
+
+class Drawn:
+    """Annotation of a setting that is one value, or a table of a distribution: ``{min, max}`` or ``{choices}``."""
+
+    def __init__(self, choice: type[_ChoiceBase], uniform: type[_UniformBase] | None = None) -> None:
+        self.choice = choice
+        self.uniform = uniform
+
+    def model_of(self, value: Any) -> type[Settings] | None:
+        """The distribution that plain data are settings of; None for one value."""
+        if not isinstance(value, dict):
+            return None
+        return self.choice if "choices" in value or self.uniform is None else self.uniform
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Validate a table as its distribution, and anything else as the type that is annotated."""
+
+        def validated(value: Any, plain: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+            if isinstance(value, _UniformBase | _ChoiceBase):
+                return value
+            model = self.model_of(value)
+            if model is None:
+                return plain(value)
+            if info.mode == "json":
+                return model.model_validate_json(json.dumps(value), strict=True)
+            return model.model_validate(value)
+
+        return core_schema.with_info_wrap_validator_function(
+            validated, handler(source), serialization=core_schema.simple_ser_schema("any")
+        )
+
+
+Real = Annotated[float, Drawn(Choice, Uniform)]
+"""A number, ``{min, max}`` or ``{choices}``."""
+
+Listed = Annotated[float, Drawn(Choice)]
+"""A number or ``{choices}``, where not every number of an interval is allowed."""
+
+Whole = Annotated[int, Drawn(WholeChoice, WholeUniform)]
+"""A whole number, or whole numbers to draw from."""
+
+
+def values_of(distribution: Any) -> tuple[Any, ...]:
+    """Every value of a fixed or listed distribution, and the two ends of a uniform one."""
+    if isinstance(distribution, _ChoiceBase):
+        return tuple(distribution.choices)  # type: ignore[attr-defined]
+    if isinstance(distribution, _UniformBase):
+        return distribution.min, distribution.max  # type: ignore[attr-defined]
+    return (distribution,)
+
+
+def bounded(
+    *, above: float | None = None, least: float | None = None, below: float | None = None, most: float | None = None
+) -> AfterValidator:
+    """Validator of a distribution all of whose values must lie within bounds."""
+    tests: tuple[tuple[float | None, str, Callable[[float, float], bool]], ...] = (
+        (above, "above", operator.gt),
+        (least, "at least", operator.ge),
+        (below, "below", operator.lt),
+        (most, "at most", operator.le),
+    )
+    given = [(bound, word, test) for bound, word, test in tests if bound is not None]
+    allowed = " and ".join(f"{word} {bound:g}" for bound, word, _ in given)
+
+    def check(distribution: Any) -> Any:
+        for value in values_of(distribution):
+            if not all(test(value, bound) for bound, _, test in given):
+                raise ValueError(f"{value:g} is outside what is allowed: {allowed}")
+        return distribution
+
+    return AfterValidator(check)

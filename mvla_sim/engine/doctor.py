@@ -1,0 +1,159 @@
+"""Whether this machine can run the program, and what mends it if not."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import psutil
+from rich.console import Console
+from rich.table import Table
+
+from mvla_sim.engine import llvm
+from mvla_sim.engine.cache import cache_folder
+from mvla_sim.engine.machine import core_count, cpu_name, package_versions, program_version
+from mvla_sim.errors import OutputError
+
+__all__ = ["Facts", "Smoke", "collect", "report", "run_smoke"]
+
+SMOKE_COMMAND: Final = (sys.executable, "-m", "mvla_sim.engine.smoke")
+TIMEOUT_S: Final[float] = 180.0
+"""Far above the seconds that the first compilation takes on a slow machine."""
+GIB: Final[int] = 2**30
+
+
+@dataclass(frozen=True)
+class Smoke:
+    """What the child process that traces one ray reported.
+
+    Attributes
+    ----------
+    backend
+        Keys ``backend``, ``libllvm``, ``libllvm_version``, ``origin``, ``threads``; empty if it did not get so far.
+    result
+        In words, if the ray came back.
+    problem
+        One line with its mend, if it did not.
+    """
+
+    backend: Mapping[str, Any]
+    result: str | None
+    problem: str | None
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Everything the report shows.
+
+    Attributes
+    ----------
+    rows
+        Pairs of a name and a value.
+    problems
+        One line each, with what mends it; empty on a fit machine.
+    """
+
+    rows: tuple[tuple[str, str], ...]
+    problems: tuple[str, ...]
+
+
+def collect(smoke: Smoke | None = None) -> Facts:
+    """Look at this machine; ``smoke`` replaces the trace in a child process."""
+    smoke = smoke or run_smoke()
+    backend = smoke.backend
+    memory = psutil.virtual_memory()
+    problems = [smoke.problem] if smoke.problem else []
+    versions = package_versions()
+    problems += [f"{name} is not installed: pip install {name}" for name, version in versions.items() if not version]
+    try:
+        folder = cache_folder()
+        cache = f"{folder} ({shutil.disk_usage(folder).free / GIB:.1f} GiB free)"
+    except OutputError as error:
+        cache = "not usable"
+        problems.append(str(error))
+    if backend.get("backend") == "llvm":
+        compute = f"LLVM on the CPU, {backend['threads']} threads"
+    else:
+        compute = {"cuda": "CUDA"}.get(backend.get("backend", ""), "none that is fit")
+    rows = [
+        ("mvla-sim", program_version()),
+        ("backend", compute),
+        ("libLLVM", _library(backend)),
+        ("smoke trace", smoke.result or "failed"),
+        ("python", f"{platform.python_version()} ({sys.executable})"),
+        *((name, version or "not installed") for name, version in versions.items()),
+        ("processor", f"{cpu_name()}, {core_count()} cores"),
+        ("memory", f"{memory.available / GIB:.1f} of {memory.total / GIB:.1f} GiB available"),
+        ("cache folder", cache),
+    ]
+    return Facts(tuple(rows), tuple(problems))
+
+
+def report(console: Console) -> int:
+    """Print the facts and, one line each, what is unfit and how to mend it.
+
+    Returns
+    -------
+    int
+        Exit status: 0 on a fit machine, else 1.
+    """
+    facts = collect()
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in facts.rows:
+        table.add_row(name, value)
+    console.print(table, markup=False, highlight=False)
+    for problem in facts.problems:
+        console.print(f"unfit: {problem}", markup=False, highlight=False, soft_wrap=True)
+    if not facts.problems:
+        console.print("This machine is fit.", markup=False, highlight=False)
+    return 1 if facts.problems else 0
+
+
+def run_smoke(command: Sequence[str] = SMOKE_COMMAND, timeout_s: float = TIMEOUT_S) -> Smoke:
+    """Trace one ray in a child process and read its report, however it ends."""
+    try:
+        child = subprocess.run(  # noqa: S603 - our own interpreter and module
+            list(command), capture_output=True, text=True, timeout=timeout_s, check=False, stdin=subprocess.DEVNULL
+        )
+    except subprocess.TimeoutExpired:
+        return Smoke({}, None, f"the smoke trace did not end within {timeout_s:g} s: free the processor and try again")
+    backend: dict[str, Any] = {}
+    said: dict[str, Any] = {}
+    for line in child.stdout.splitlines():
+        if line.startswith("{"):
+            facts = json.loads(line)
+            if "backend" in facts:
+                backend = facts
+            else:
+                said = facts
+    if "error" in said:
+        return Smoke(backend, None, str(said["error"]))
+    if child.returncode == 0 and "range_m" in said:
+        return Smoke(backend, f"1 ray, {said['range_m']:.3f} m as expected, {said['seconds']:.1f} s", None)
+    return Smoke(backend, None, _death(child.returncode, child.stderr, backend))
+
+
+def _death(code: int, errors: str, backend: Mapping[str, Any]) -> str:
+    """One line on a child that did not live to tell: how it ended, its last words, and what mends it."""
+    how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"failed with exit status {code}"
+    lines = [line.strip() for line in errors.splitlines() if line.strip()]
+    words = next((line for line in lines if "ERROR" in line), lines[-1] if code >= 0 and lines else "")
+    words = f" ({words[:120]})" if words else ""
+    if code < 0 and backend.get("backend") != "cuda":
+        return f"the smoke trace {how}{words} with {_library(backend)}: {llvm.mend()}"
+    return f"the smoke trace {how}{words}: reinstall mvla-sim in a fresh virtual environment"
+
+
+def _library(backend: Mapping[str, Any]) -> str:
+    if not backend.get("libllvm_version"):
+        return "not used" if backend.get("backend") == "cuda" else "no fit libLLVM"
+    return f"{backend['libllvm_version']}, {backend['libllvm'] or 'file unknown'} ({backend['origin']})"

@@ -1,0 +1,1 @@
+"""From a laboratory's folder, or a scene, to an image, its binary result and figures of merit."""

@@ -1,0 +1,185 @@
+"""From measured data, or a scene, to an image, its binary result and figures of merit: the stages in order."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mvla_sim.channel.loading import Channel
+from mvla_sim.channel.readers.import_settings import ImportSettings
+from mvla_sim.channel.readers.importing import import_channel
+from mvla_sim.channel.simulate import simulate
+from mvla_sim.channel.synthesis import synthesize, write_campaign
+from mvla_sim.errors import ConfigError, OutputError
+from mvla_sim.evaluation.boxes import Box, bounding_box, box_of_outline, largest_parts
+from mvla_sim.evaluation.evaluate import Evaluation, evaluate
+from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.pipeline import reconstruct
+from mvla_sim.measured.process_settings import SWEEPS, MeasurementSettings, ProcessSettings
+from mvla_sim.scene.trajectory_settings import TurntableTrajectory, whole_turn
+from mvla_sim.scene.world import Scene
+
+__all__ = ["Processed", "process", "turn_between"]
+
+
+@dataclass(frozen=True, eq=False)
+class Processed:
+    """What came of a measurement.
+
+    Attributes
+    ----------
+    channel
+        The imported, or traced, data.
+    image
+        The image, with the binary result where thresholds were given or could be found.
+    occupied
+        That result, ``[nz, ny, nx]`` bool; None without thresholds and without a truth.
+    evaluation
+        Scores against the truth; None where there is none or the image has several layers.
+    truth
+        The scene of the true target; None where it is not known.
+    box, truth_box
+        Bounding boxes of the result without its small parts, and of the true outline.
+    seconds
+        Wall-clock time of each stage.
+    """
+
+    channel: Channel
+    image: Image
+    occupied: NDArray[np.bool_] | None
+    evaluation: Evaluation | None
+    truth: Scene | None
+    box: Box | None
+    truth_box: Box | None
+    seconds: dict[str, float]
+
+    def merit(self) -> dict[str, Any]:
+        """Figures of merit as plain data: boxes, scores, thresholds and times."""
+        figures: dict[str, Any] = {
+            "views": self.image.n_view,
+            "voxels": self.image.grid.size,
+            "seconds": {name: round(value, 3) for name, value in self.seconds.items()},
+        }
+        for name, box in (("result", self.box), ("target", self.truth_box)):
+            if box is not None:
+                figures |= {f"{name}_{key}": value for key, value in _plain(box).items()}
+        if self.box is not None and self.truth_box is not None:
+            figures["orientation_error_deg"] = turn_between(self.box.orientation_deg, self.truth_box.orientation_deg)
+        if self.evaluation is not None:
+            figures |= self.evaluation.as_dict()
+        return {key: _finite(value) for key, value in figures.items()}
+
+
+def process(settings: ProcessSettings, folder: Path) -> Processed:
+    """Run every stage.
+
+    Parameters
+    ----------
+    settings
+        Where data come from, how they are imaged, what they are compared with.
+    folder
+        Where a synthetic measurement puts its files; it must exist.
+
+    Raises
+    ------
+    MvlaError
+        As the stages do.
+    """
+    seconds: dict[str, float] = {}
+    if settings.scene is not None:
+        with _timed(seconds, "tracing"):
+            channel: Channel = simulate(Scene.load(settings.scene))
+    else:
+        assert settings.source is not None
+        source = settings.source
+        if settings.measurement is not None:
+            with _timed(seconds, "measurement"):
+                source = _measured(settings.measurement, source, folder)
+        with _timed(seconds, "import"):
+            channel = import_channel(source)
+    with _timed(seconds, "image"):
+        image = reconstruct(channel, settings.imaging)
+    truth = None if settings.truth is None else Scene.load(settings.truth)
+    evaluation = None
+    occupied = image.occupied
+    if truth is not None and image.grid.counts[2] == 1:
+        with _timed(seconds, "evaluation"):
+            image = replace(image, outline=truth.outline)
+            chosen = settings.evaluation
+            if chosen.threshold is None and settings.imaging.threshold is not None:
+                chosen = chosen.model_copy(update={"threshold": settings.imaging.threshold})
+            evaluation = evaluate(image, chosen)
+        occupied = evaluation.occupied
+    box = None
+    if occupied is not None and occupied.any():
+        box = bounding_box(largest_parts(occupied, settings.smallest_part), image.grid)
+    truth_box = None if truth is None else box_of_outline(_without_thin_parts(truth.outline, settings.thinnest_m))
+    return Processed(channel, image, occupied, evaluation, truth, box, truth_box, seconds)
+
+
+def turn_between(one_deg: float, other_deg: float) -> float:
+    """Angle between two undirected axes, 0 to 90 degrees."""
+    return abs((one_deg - other_deg + 90) % 180 - 90)
+
+
+def _without_thin_parts(outline: Any, thinnest_m: float) -> Any:
+    """Outline, opened by a disc: what the disc does not fit into is gone; corners stay sharp."""
+    opened = outline.buffer(-thinnest_m / 2, join_style="mitre").buffer(thinnest_m / 2, join_style="mitre")
+    return outline if opened.is_empty else opened
+
+
+def _measured(settings: MeasurementSettings, source: ImportSettings, folder: Path) -> ImportSettings:
+    """Trace the scene, write a laboratory's files, and return import settings that point at them."""
+    scene = Scene.load(settings.scene)
+    campaign = synthesize(simulate(scene), settings)
+    sweeps = folder / SWEEPS
+    try:
+        sweeps.mkdir(exist_ok=True)
+        for old in sweeps.glob("*.s2p"):  # of an earlier run: views that no longer exist must not stay
+            old.unlink()
+    except OSError as error:
+        raise OutputError(f"{sweeps}: cannot be made or emptied ({error.strerror or error})") from error
+    trajectory = scene.settings.trajectory
+    angles = scene.views.angles_deg
+    if isinstance(trajectory, TurntableTrajectory):
+        if trajectory.heights_m is not None:
+            raise ConfigError(f"{settings.scene}: trajectory.heights_m: one file an angle cannot hold several heights")
+        angles = np.asarray(trajectory.interval_deg * np.arange(whole_turn(trajectory.interval_deg)), np.float64)
+    write_campaign(campaign, sweeps, scene.name, angles)
+    chosen = source.sweeps
+    update: dict[str, Any] = {}
+    if chosen.background is not None:
+        update["background"] = chosen.background.model_copy(update={"file": str(sweeps / chosen.background.file)})
+    if chosen.reference is not None:
+        update["reference"] = chosen.reference.model_copy(update={"file": str(sweeps / chosen.reference.file)})
+    return source.model_copy(update={"source": str(sweeps), "sweeps": chosen.model_copy(update=update)})
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    began = time.perf_counter()
+    yield
+    seconds[stage] = time.perf_counter() - began
+
+
+def _plain(box: Box) -> dict[str, Any]:
+    return {
+        "length_m": box.length_m,
+        "width_m": box.width_m,
+        "aspect": box.aspect,
+        "orientation_deg": box.orientation_deg,
+        "center_m": list(box.center_m),
+    }
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN and no infinity: they are told as text."""
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,273 @@
+"""What the figures are put together from: maps, masks, outlines, trajectories, angle axes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import shapely
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.lines import Line2D
+from matplotlib.patches import FancyArrowPatch, Patch, PathPatch
+from matplotlib.path import Path
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from mvla_sim.errors import DataError
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.image import Image
+from mvla_sim.plot.style import COLORS, MAPS, new_figure
+from mvla_sim.scene.views import Views
+
+__all__ = [
+    "Bits",
+    "angle_axis",
+    "angle_cells",
+    "check_image",
+    "check_mask",
+    "color_bar",
+    "draw_binary",
+    "draw_classes",
+    "draw_direction",
+    "draw_outline",
+    "draw_score",
+    "draw_support",
+    "label_plane",
+    "panel_grid",
+    "view_count",
+]
+
+Bits = NDArray[np.bool_]
+Handles = list[Patch | Line2D]
+Edges = tuple[float, float, float, float]
+
+HIT, FALSE, MISS = COLORS["blue"], COLORS["vermilion"], "#B0B0B0"
+SCORE_PERCENTILE = 99.8  # brighter voxels are cut off: a few crossings of arcs would leave the rest of a map dark
+WIDE_GAP = 3.0  # steps in angle above this many times the usual one stay blank
+
+
+def view_count(count: int) -> str:
+    """Say how many views: "1 view", "72 views"."""
+    return f"{count} view{'' if count == 1 else 's'}"
+
+
+def check_mask(mask: Bits, grid: VoxelGrid | None, name: str) -> None:
+    """Refuse a mask without a grid or of another shape than its grid.
+
+    Raises
+    ------
+    DataError
+        One line with both shapes.
+    """
+    if grid is None:
+        raise DataError(f"picture: {name} of shape {mask.shape} comes without its grid")
+    if mask.shape != grid.shape:
+        raise DataError(f"picture: {name} has shape {mask.shape}, the grid {grid.shape}")
+
+
+def check_image(image: Image, truth: Bits | None, occupied: Bits | None, layer: int | None) -> None:
+    """Refuse masks that do not fit an image's grid, and layers it does not have.
+
+    Raises
+    ------
+    DataError
+        One line with the value and what is allowed.
+    """
+    for name, mask in (("truth", truth), ("occupied", occupied)):
+        if mask is not None:
+            check_mask(mask, image.grid, name)
+    if layer is not None and not 0 <= layer < image.grid.shape[0]:
+        raise DataError(f"picture: layer = {layer}; allowed: 0 to {image.grid.shape[0] - 1}")
+
+
+def label_plane(axes: Axes) -> None:
+    """Give both axes the same scale and few ticks."""
+    axes.set_aspect("equal")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+
+
+def panel_grid(
+    width_in: float, grids: Sequence[VoxelGrid], columns: int, *, edges_in: Edges, gap_in: tuple[float, float]
+) -> tuple[Figure, list[list[Axes]]]:
+    """Make a figure of panels that keep a grid's proportions: a row for each grid, columns of equal width.
+
+    Parameters
+    ----------
+    width_in
+        Width of the figure, inches; its height follows from the grids.
+    grids
+        What each row shows.
+    columns
+        Panels in a row.
+    edges_in
+        Space left, right, below and above all panels, inches.
+    gap_in
+        Space between columns and between rows, inches.
+    """
+    left, right, below, above = edges_in
+    width = (width_in - left - right - (columns - 1) * gap_in[0]) / columns
+    heights = [width * float(np.clip(grid.counts[1] / grid.counts[0], 0.3, 2.0)) for grid in grids]
+    total = below + above + sum(heights) + (len(grids) - 1) * gap_in[1]
+    figure = new_figure(width_in, total, constrained=False)
+    rows: list[list[Axes]] = []
+    top = total - above
+    for height in heights:
+        row: list[Axes] = []
+        for column in range(columns):
+            place = (left + column * (width + gap_in[0])) / width_in, (top - height) / total
+            axes = figure.add_axes((*place, width / width_in, height / total))
+            label_plane(axes)
+            axes.tick_params(labelleft=column == 0)
+            axes.set_xlabel("x (m)")
+            row.append(axes)
+        row[0].set_ylabel("y (m)")
+        rows.append(row)
+        top -= height + gap_in[1]
+    return figure, rows
+
+
+def color_bar(axes: Axes, mappable: AxesImage, label: str, *, below: bool, cut_off: bool) -> None:
+    """Put a colour bar as long as the panel under it or at its right; ``cut_off`` marks values beyond its end."""
+    figure = axes.figure
+    assert isinstance(figure, Figure)
+    box = axes.get_position()
+    width, height = figure.get_size_inches() * (box.width, box.height)
+    place = (0.0, -0.52 / height, 1.0, 0.1 / height) if below else (1 + 0.06 / width, 0.0, 0.1 / width, 1.0)
+    bar = figure.colorbar(
+        mappable,
+        cax=axes.inset_axes(place),
+        orientation="horizontal" if below else "vertical",
+        extend="max" if cut_off else "neither",
+        extendfrac=0.03,
+        ticks=MaxNLocator(4, steps=[1, 2, 2.5, 3, 5, 10]),
+    )
+    bar.set_label(label)
+
+
+def draw_score(axes: Axes, image: Image, layer: int, *, bar_below: bool) -> None:
+    """Draw one layer of the score from 0 to just below its maximum, with a colour bar."""
+    top = float(np.percentile(image.score[layer], SCORE_PERCENTILE))
+    label = "sum of normalised profiles" if image.method == "bp" else "score s"
+    color_bar(axes, _draw_map(axes, image, image.score[layer], "score", top), label, below=bar_below, cut_off=True)
+
+
+def draw_support(axes: Axes, image: Image, layer: int, *, bar_below: bool) -> None:
+    """Draw one layer of the angular support, with a colour bar.
+
+    Raises
+    ------
+    DataError
+        The image has none.
+    """
+    if image.support_deg is None:
+        raise DataError(f"picture: an image of method {image.method} has no angular support")
+    values = image.support_deg[layer]
+    mappable = _draw_map(axes, image, values, "support", float(values.max()))
+    color_bar(axes, mappable, "angular support Θ (°)", below=bar_below, cut_off=False)
+
+
+def draw_classes(
+    axes: Axes, classes: Sequence[tuple[Bits, str]], grid: VoxelGrid, layer: int, zorder: float = 0
+) -> None:
+    """Fill the voxels of one layer of each mask ``[nz, ny, nx]`` with its colour; the rest stays clear."""
+    picture = np.ones((*grid.shape[1:], 4))
+    picture[..., 3] = 0
+    for mask, color in classes:
+        picture[mask[layer]] = to_rgba(color)
+    axes.imshow(picture, origin="lower", extent=_extent(grid), interpolation_stage="rgba", zorder=zorder)
+
+
+def draw_outline(axes: Axes, outline: BaseGeometry | None, fill: str = "none", width_pt: float = 0.5) -> None:
+    """Draw every ring of an outline, holes too, as a thin line."""
+    areas = [] if outline is None else [area for area in shapely.get_parts(outline) if area.geom_type == "Polygon"]
+    rings = [ring for area in areas for ring in (area.exterior, *area.interiors) if not ring.is_empty]
+    if rings:
+        path = Path.make_compound_path(*(Path(shapely.get_coordinates(ring), closed=True) for ring in rings))
+        axes.add_patch(PathPatch(path, facecolor=fill, edgecolor="black", linewidth=width_pt))
+
+
+def draw_binary(axes: Axes, image: Image, truth: Bits | None, occupied: Bits, layer: int) -> Handles:
+    """Draw the retained voxels of one layer, told apart by the truth if it is given, and the outline.
+
+    Returns
+    -------
+    list
+        Handles of the legend.
+    """
+    if truth is None:
+        classes = [(occupied, HIT, "retained")]
+    else:
+        classes = [
+            (truth & ~occupied, MISS, "missed"),
+            (occupied & ~truth, FALSE, "false"),
+            (occupied & truth, HIT, "hit"),
+        ]
+    draw_classes(axes, [(mask, color) for mask, color, _ in classes], image.grid, layer)
+    handles: Handles = [Patch(color=color, label=name) for _, color, name in reversed(classes)]
+    if image.outline is not None:
+        draw_outline(axes, image.outline, width_pt=min(0.5, 24 / max(image.grid.counts[:2])))  # thinner than a voxel
+        handles.append(Line2D([], [], color="black", linewidth=0.5, label="outline"))
+    left, right, bottom, top = _extent(image.grid)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    return handles
+
+
+def draw_direction(axes: Axes, views: Views, color: str) -> None:
+    """Draw an arrow outside the first tenth of the trajectory, in the order of the views."""
+    last = max(1, round(0.1 * (len(views) - 1)))
+    center = np.asarray(views.center_m)
+    points = center + 1.09 * (views.positions_m[: last + 1, :2] - center)
+    if len(points) > 1 and np.ptp(points, axis=0).max() > 0:
+        axes.add_patch(
+            FancyArrowPatch(path=Path(points), arrowstyle="-|>", mutation_scale=8, color=color, linewidth=1, zorder=4)
+        )
+        axes.update_datalim(points)
+
+
+def angle_axis(views: Views) -> tuple[NDArray[np.intp], NDArray[np.float64], str]:
+    """Order of the views by angle, their places along an axis in that order ``[n_view]``, and the axis's label.
+
+    An arc across 0° begins at negative angles, so that it stays in one piece. Where two views share an angle, the
+    places count the views.
+    """
+    order = np.argsort(views.angles_deg, kind="stable")
+    place = views.angles_deg[order]
+    gaps = np.diff(place, append=place[0] + 360)
+    if not gaps.min() > 0:
+        return order, np.arange(len(place), dtype=np.float64), "view, in order of angle"
+    widest = int(np.argmax(gaps))
+    if not views.closed and widest < len(place) - 1:
+        order = np.roll(order, -widest - 1)
+        place = np.concatenate([place[widest + 1 :] - 360, place[: widest + 1]])
+    return order, place, "view angle (°)"
+
+
+def angle_cells(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Edges ``[n + 1]`` of cells about rising places, and the index of the place in each ``[n]``: −1 in a wide gap."""
+    steps = np.diff(place)
+    usual = float(np.median(steps)) if steps.size else 1.0
+    edges, shown = [place[0] - usual / 2], [0]
+    for index, step in enumerate(steps, start=1):
+        if step > WIDE_GAP * usual:
+            edges += [place[index - 1] + usual / 2, place[index] - usual / 2]
+            shown += [-1, index]
+        else:
+            edges.append(place[index] - step / 2)
+            shown.append(index)
+    return np.array([*edges, place[-1] + usual / 2], np.float64), np.array(shown, np.intp)
+
+
+def _draw_map(axes: Axes, image: Image, values: NDArray[np.float32], kind: str, top: float) -> AxesImage:
+    extent = _extent(image.grid)
+    return axes.imshow(values, origin="lower", extent=extent, cmap=MAPS[kind], vmin=0, vmax=top if top > 0 else 1)
+
+
+def _extent(grid: VoxelGrid) -> tuple[float, float, float, float]:
+    low, high = grid.bounds_m()
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])

@@ -1,0 +1,102 @@
+"""Pictures from files, for ``mvla plot`` and ``mvla scene show``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mvla_sim.channel.loading import CHANNEL_SCHEMAS, Channel, load_channel
+from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.evaluation.evaluate import evaluate
+from mvla_sim.evaluation.ground_truth import rasterize
+from mvla_sim.files import existing_file
+from mvla_sim.grid import GridSettings, VoxelGrid
+from mvla_sim.imaging.image import SCHEMA as IMAGE_SCHEMA
+from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
+from mvla_sim.imaging.pipeline import chosen_views, front_end, impaired
+from mvla_sim.netcdf import schema_of
+from mvla_sim.plot.figures import plot_comparison, plot_image, plot_scene, plot_waterfall
+from mvla_sim.plot.style import save_figure
+from mvla_sim.scene.world import Scene
+
+__all__ = ["draw", "draw_scene", "draw_waterfall"]
+
+
+def draw(files: Sequence[Path], output: Path, overrides: Sequence[str]) -> None:
+    """Draw one channel file, or image files side by side.
+
+    Raises
+    ------
+    DataError
+        A file is of neither kind, or kinds are mixed.
+    """
+    kinds = [schema_of(existing_file(file, "channel or image file")) for file in files]
+    for file, kind in zip(files, kinds, strict=True):
+        if kind not in (*CHANNEL_SCHEMAS, IMAGE_SCHEMA):
+            allowed = ", ".join(map(repr, (*CHANNEL_SCHEMAS, IMAGE_SCHEMA)))
+            raise DataError(f"{file}: schema is {kind!r}; allowed: {allowed}")
+    channels = [file for file, kind in zip(files, kinds, strict=True) if kind in CHANNEL_SCHEMAS]
+    if channels and len(files) == 1:
+        draw_waterfall(load_channel(files[0]), output, imaging_settings(overrides))
+    elif channels:
+        raise DataError(f"{channels[0]}: give one CIR or other channel file alone, or image files only")
+    elif overrides:
+        raise ConfigError(f"--set {overrides[0]}: an image is drawn as it is; settings go to mvla image")
+    else:
+        draw_images(files, output)
+
+
+def draw_images(files: Sequence[Path], output: Path) -> None:
+    """Draw images with the reconstruction at their own thresholds, or else at the optimal ones."""
+    images = [Image.load(file) for file in files]
+    if any(image.outline is None for image in images):
+        if len(images) > 1:
+            raise DataError(f"{files[0]}: images without an outline are drawn one at a time")
+        save_figure(plot_image(images[0], occupied=images[0].occupied), output)
+        return
+    try:
+        results = [evaluate(image) for image in images]
+    except DataError:  # the outline reaches out of the grid: a part of the target can be looked at, not scored
+        if len(images) > 1:
+            raise
+        save_figure(plot_image(images[0], occupied=images[0].occupied), output)
+        return
+    masks = [r.occupied if i.occupied is None else i.occupied for i, r in zip(images, results, strict=True)]
+    if len(images) == 1:
+        save_figure(plot_image(images[0], results[0].truth, masks[0]), output)
+        return
+    labels = [f"{i.method}, {i.n_view} views: {r.cd_db:.1f} dB" for i, r in zip(images, results, strict=True)]
+    save_figure(plot_comparison(images, [r.truth for r in results], masks, labels), output)
+
+
+def draw_waterfall(channel: Channel, output: Path, settings: ImagingSettings) -> None:
+    """Draw PDPs against the view angle, with the peaks found in them.
+
+    Raises
+    ------
+    DataError
+        The file holds components, which are no profiles.
+    """
+    grid = VoxelGrid.from_settings(settings.grid)
+    chosen = chosen_views(channel.views, settings)
+    channel = impaired(channel, settings, grid)
+    front = front_end(channel, settings, grid).select(chosen)
+    if front.pdp is None:
+        raise DataError("this file holds ready-made components and no profiles; make an image of it and draw that")
+    save_figure(plot_waterfall(front.pdp, channel.views.select(chosen), front.peaks), output)
+
+
+def draw_scene(scene_file: Path, output: Path, overrides: Sequence[str]) -> None:
+    """Draw a scene with the ground truth on the default grid, centred on the target."""
+    scene = Scene.load(scene_file, overrides)
+    save_figure(plot_scene(scene, *truth_of(scene, GridSettings())), output)
+
+
+def truth_of(scene: Scene, settings: GridSettings) -> tuple[NDArray[np.bool_], VoxelGrid]:
+    """Ground truth of a scene and its grid."""
+    grid = VoxelGrid.from_settings(settings)
+    return rasterize(scene.outline, grid, "contour"), grid

@@ -1,1 +1,0 @@
-"""What the program runs on: compute backend, ``doctor``, cache folder, progress and provenance."""

@@ -1,0 +1,28 @@
+"""The cache folder: where it is told to be, made on demand, refused in one line."""
+
+from __future__ import annotations
+
+import pytest
+
+from mvla_sim.engine.cache import cache_folder
+from mvla_sim.errors import OutputError
+
+
+def test_the_folder_is_made_where_the_variable_says(tmp_path, monkeypatch):
+    monkeypatch.setenv("MVLA_CACHE_DIR", str(tmp_path / "a" / "b"))
+    assert cache_folder() == tmp_path / "a" / "b"
+    assert list(cache_folder().iterdir()) == []
+
+
+def test_by_default_it_is_the_users_cache(tmp_path, monkeypatch):
+    monkeypatch.delenv("MVLA_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cache_folder().is_relative_to(tmp_path)
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    monkeypatch.setenv("MVLA_CACHE_DIR", str(tmp_path / "file"))
+    with pytest.raises(OutputError, match="MVLA_CACHE_DIR"):
+        cache_folder()
