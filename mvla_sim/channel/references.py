@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from mvla_sim.channel.readers.import_settings import Gate, ReferenceSettings
 from mvla_sim.constants import SPEED_OF_LIGHT, range_to_delay
+from mvla_sim.dsp import Window, range_profiles
 from mvla_sim.errors import ConfigError, DataError
 
 __all__ = [
@@ -19,13 +20,13 @@ __all__ = [
     "calibrate",
     "echo_gain",
     "find_peak",
-    "hann",
     "range_profile",
     "subtract_background",
 ]
 
 OVERSAMPLING: Final = 4
 """Samples of a profile per 1/(K·Δf); Hann's main lobe is four such cells wide, so no peak falls between samples."""
+HANN: Final = Window("hann")
 STANDS_OUT_DB: Final = 15.0
 """Least level of the reference's echo over the median of all ranges; noise alone reaches it once in millions."""
 
@@ -63,11 +64,6 @@ class Calibration(NamedTuple):
     gain_correction: float
 
 
-def hann(count: int) -> NDArray[np.float64]:
-    """Hann window at ``count`` frequencies centred in equal shares of the band, ``[count]``; its mean is 1/2."""
-    return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2, np.float64)
-
-
 def range_profile(
     response: NDArray[np.complex128], start_hz: float, step_hz: float
 ) -> tuple[NDArray[np.complex128], float]:
@@ -87,13 +83,10 @@ def range_profile(
 
     Notes
     -----
-    h(τ) = Σ_k w_k H(f_k) exp(j2πf_k·τ) / Σ_k w_k, f_k = f_0 + kΔf: an isolated echo g·exp(−j2πf·τ₀) peaks at τ₀ with
-    h = g, whatever K and the padding.
+    As :func:`~mvla_sim.dsp.range_profiles` with absolute frequencies: an echo g·exp(−j2πf·τ₀) peaks at τ₀ with h = g.
     """
-    weights = hann(len(response))
     length = int(next_fast_len(OVERSAMPLING * len(response)))
-    turn = np.exp(2j * np.pi * start_hz / (step_hz * length) * np.arange(length))
-    profile = np.fft.ifft(response * weights, length) * (turn * length / weights.sum())
+    profile = range_profiles(response, HANN.weights(len(response)), length, np.arange(length), start_hz / step_hz)
     return profile, SPEED_OF_LIGHT / (2 * step_hz * length)
 
 
@@ -253,7 +246,8 @@ def find_peak(
         raise DataError(f"{where}: no echo of the reference stands {STANDS_OUT_DB:g} dB above the median of all ranges")
     if level[top - 1] > level[top] or level[(top + 1) % len(level)] > level[top]:
         raise DataError(f"{where}: no echo of the reference has its peak there; the level rises to beyond the gate")
-    weighted = response * hann(len(response))
+    weights = HANN.weights(len(response))
+    weighted = response * weights
     turn = 2j * np.pi * step_hz * np.arange(len(response))
     spacing = float(range_to_delay(step_m))
 
@@ -262,7 +256,7 @@ def find_peak(
 
     bounds = ((top - 1) * spacing, (top + 1) * spacing)
     best = minimize_scalar(negative, bounds=bounds, method="bounded", options={"xatol": 1e-5 * spacing})
-    return float(best.x), float(-best.fun / hann(len(response)).sum())
+    return float(best.x), float(-best.fun / weights.sum())
 
 
 def _gate_samples(gate_m: Gate, step_m: float, length: int) -> NDArray[np.intp]:

@@ -16,6 +16,7 @@ from mvla_sim.channel.references import echo_gain
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.channel.synthesis_settings import EchoSettings, SynthesisSettings
 from mvla_sim.constants import range_to_delay
+from mvla_sim.dsp import path_spectrum
 from mvla_sim.errors import ConfigError, DataError, OutputError
 from mvla_sim.memory import check_memory
 from mvla_sim.scene.antenna import build_antenna
@@ -105,7 +106,9 @@ def synthesize(cir: Cir, settings: SynthesisSettings) -> Campaign:
         "take {factor:.2g} times fewer points",
     )
     frequency = np.asarray(start + step * np.arange(settings.points), np.float64)
-    target = np.stack([_target(cir, view, start - cir.carrier_hz, step, settings.points) for view in range(cir.n_view)])
+    rows = [cir.rows(view) for view in range(cir.n_view)]
+    lowest = start - cir.carrier_hz
+    target = np.stack([path_spectrum(cir.gain[r], cir.delay_s[r], lowest, step, settings.points) for r in rows])
     power = float(np.mean(target.real**2 + target.imag**2))
     if power == 0:
         raise DataError(
@@ -197,16 +200,6 @@ def write_campaign(
         s[:, 1, 1] = _PORT_REFLECTION + _noise(random, campaign.noise_power, channel.shape)
         write_touchstone(place / name, frequency, s)
     return [place / name for name in names]
-
-
-def _target(cir: Cir, view: int, lowest_hz: float, step_hz: float, count: int) -> NDArray[np.complex128]:
-    """Σ_i g_i exp(−j2π(lowest + kΔf)τ_i), ``[count]``; with k = b·k₁ + k₂ a product of two small matrices."""
-    gain, delay = cir.gain[cir.rows(view)].astype(np.complex128), cir.delay_s[cir.rows(view)]
-    block = max(1, int(np.sqrt(count)))
-    coarse = lowest_hz + step_hz * block * np.arange(-(-count // block))
-    outer = gain * np.exp(-2j * np.pi * coarse[:, None] * delay)
-    inner = np.exp(-2j * np.pi * step_hz * np.arange(block)[:, None] * delay)
-    return np.asarray((outer @ inner.T).reshape(-1)[:count], np.complex128)
 
 
 def _echo(echo: EchoSettings, frequency_hz: NDArray[np.float64]) -> NDArray[np.complex128]:

@@ -15,11 +15,11 @@ from mvla_sim.channel.references import (
     calibrate,
     echo_gain,
     find_peak,
-    hann,
     range_profile,
     subtract_background,
 )
 from mvla_sim.constants import SPEED_OF_LIGHT, delay_to_range, range_to_delay
+from mvla_sim.dsp import Window
 from mvla_sim.errors import ConfigError, DataError
 
 START, STEP, COUNT = 34.5e9, 7.5e6, 401
@@ -54,6 +54,9 @@ def leaking(rng, views=6, sigma=0.0, leak=1e-2, phases=True):
     target = echo(9.1, 1e-4 * np.exp(1j * rng.uniform(0, 6, (views, 1))))
     sweeps = np.vstack([target + static, static[None]]) * turn + noise(rng, sigma, (views + 1, COUNT))
     return sweeps[:-1], sweeps[-1], target * turn[:-1], turn[:-1, 0] / turn[-1, 0]
+
+
+hann = Window("hann").weights
 
 
 # --- levels ------------------------------------------------------------------------------------------------------
