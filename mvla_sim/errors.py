@@ -9,9 +9,19 @@ class MvlaError(Exception):
     """Base of every error this package raises on purpose.
 
     The command line prints it as one line and leaves with :attr:`exit_code`; a traceback never reaches the user.
+
+    Attributes
+    ----------
+    setting
+        Name of the argument or setting that helps, as ``workers``; None where there is none. The command line names
+        its option for it.
     """
 
     exit_code = 2
+
+    def __init__(self, message: str = "", *, setting: str | None = None) -> None:
+        super().__init__(message)
+        self.setting = setting
 
 
 class ConfigError(MvlaError, ValueError):

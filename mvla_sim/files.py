@@ -5,14 +5,18 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 from mvla_sim.errors import DataError, OutputError
 from mvla_sim.interrupt import interruptible
 
 __all__ = ["atomic_output", "check_writable", "existing_file"]
+
+FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What writing to an open file raises, without the file's name."""
 
 
 @contextlib.contextmanager
@@ -25,21 +29,23 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        The folder is missing, read-only or full, or ``path`` is a folder; the message names ``path``.
+        The folder is missing, read-only or full, or ``path`` is a folder; the message names ``path``. Other errors of
+        the block, such as those of a file that it reads, pass unchanged.
     """
     target = Path(path)
     with interruptible():
         temporary = _temporary_beside(target)
         try:
-            yield temporary
-            umask = os.umask(0)
-            os.umask(umask)
-            temporary.chmod(0o666 & ~umask)
-            temporary.replace(target)
-        except OutputError:
-            raise
-        except OSError as error:
-            raise OutputError(_reason(target, error)) from error
+            try:
+                yield temporary
+            except OSError as error:
+                if not isinstance(error, OutputError) and _is_about(error, temporary):
+                    raise _refusal(target, error) from error
+                raise
+            try:
+                temporary.replace(target)
+            except OSError as error:
+                raise _refusal(target, error) from error
         finally:
             temporary.unlink(missing_ok=True)
 
@@ -57,15 +63,26 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 
 
 def _temporary_beside(target: Path) -> Path:
-    """Make an empty file beside ``target``, with its suffix."""
+    """Make an empty file beside ``target``, with its suffix and the permissions of any new file."""
     if os.path.isdir(target):  # noqa: PTH112 - Path.is_dir raises where a folder on the way may not be searched
         raise OutputError(f"{target}: is a folder; give the name of a file")
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
-    except OSError as error:
-        raise OutputError(_reason(target, error)) from error
-    os.close(handle)
-    return Path(name)
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    while True:
+        temporary = target.with_name(f".{target.stem[:40]}-{secrets.token_hex(8)}{target.suffix}")
+        try:
+            os.close(os.open(temporary, flags, 0o666))
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise _refusal(target, error) from error
+        return temporary
+
+
+def _is_about(error: OSError, temporary: Path) -> bool:
+    """Whether an error is one of writing the temporary file; HDF5 names the file in its text alone."""
+    if error.filename is not None:
+        return str(error.filename) == str(temporary)
+    return error.errno in FULL or temporary.name in str(error)
 
 
 def existing_file(path: str | os.PathLike[str], what: str) -> Path:
@@ -99,11 +116,11 @@ def existing_file(path: str | os.PathLike[str], what: str) -> Path:
     return file
 
 
-def _reason(target: Path, error: OSError) -> str:
+def _refusal(target: Path, error: OSError) -> OutputError:
     if error.errno == errno.ENOSPC:
-        return f"{target}: no space left on the disk; nothing was written under this name"
+        return OutputError(f"{target}: no space left on the disk; nothing was written under this name")
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return f"{target}: not writable ({error.strerror}); choose another place with -o"
+        return OutputError(f"{target}: not writable ({error.strerror}); choose another place", setting="output")
     if error.errno == errno.ENOENT and not target.parent.exists():
-        return f"{target}: the folder {target.parent} does not exist"
-    return f"{target}: cannot be written ({error.strerror or error})"
+        return OutputError(f"{target}: the folder {target.parent} does not exist")
+    return OutputError(f"{target}: cannot be written ({error.strerror or error})")

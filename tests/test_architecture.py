@@ -6,6 +6,7 @@ import ast
 import importlib
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,16 @@ def imports(tree):
 
 def parse(path):
     return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def dotted(path):
+    """Name under which a module is imported."""
+    return ".".join(("mvla_sim", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
+
+
+def target(imported, modules):
+    """The module that an import is of: of a name in it, or of itself; None where it is not of this package."""
+    return next((name for name in (imported, imported.rpartition(".")[0]) if name in modules), None)
 
 
 def part_of(name):
@@ -88,15 +99,20 @@ def test_nothing_loads_the_engine_before_the_backend_is_chosen(path):
     assert not used & {"drjit", "mitsuba", "sionna"}
 
 
+def test_no_module_imports_itself_by_way_of_others():
+    """Layers inside a part as well; imports inside functions count, and those of the package's front do not."""
+    modules = {dotted(path): path for path in MODULES if path != ROOT / "__init__.py"}
+    graph = {name: {target(used, modules) for used in imports(parse(path))} for name, path in modules.items()}
+    tuple(TopologicalSorter({name: used - {None, name} for name, used in graph.items()}).static_order())
+
+
 @pytest.mark.parametrize("path", MODULES, ids=NAMES)
 def test_public_names_exist_and_are_sorted(path):
-    dotted = ".".join(("mvla_sim", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
-    if dotted.endswith("__main__"):
-        return
-    module = importlib.import_module(dotted)
+    """Constants, then classes, then functions, each by the alphabet."""
+    module = importlib.import_module(dotted(path))
     public = list(getattr(module, "__all__", []))
     assert [name for name in public if not hasattr(module, name)] == []
-    assert len(public) == len(set(public))
+    assert public == sorted(set(public), key=lambda name: (not name.isupper(), name[0].islower(), name))
     if path.name != "__init__.py":
         assert public, "every module says what is public in it"
 

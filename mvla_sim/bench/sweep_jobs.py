@@ -14,7 +14,7 @@ from mvla_sim.bench.child import Job
 from mvla_sim.bench.inputs import DEFAULT_RAYS
 from mvla_sim.bench.measure import memory_of
 from mvla_sim.channel.simulate import simulate
-from mvla_sim.cluster.pool import open_cluster
+from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.settings import parse
 from mvla_sim.sweep.experiment import ExperimentSettings
 from mvla_sim.sweep.plan import expand

@@ -224,7 +224,7 @@ def run_experiment(
     Every finished case is stored at once, so a run can be stopped at any time and goes on when it is started again.
     Tables are written as CSV and as Parquet.
     """
-    from mvla_sim.cluster.pool import open_cluster
+    from mvla_sim.cluster.opening import open_cluster
     from mvla_sim.engine.cache import shared_cache
     from mvla_sim.engine.machine import core_count
     from mvla_sim.paper.experiments import execute, show_plan
@@ -309,7 +309,7 @@ def reproduce(
     cache_url: CacheUrl = None,
 ) -> None:
     """Run every experiment of the paper that is not stored yet, judge its claims, and write the report."""
-    from mvla_sim.cluster.pool import open_cluster
+    from mvla_sim.cluster.opening import open_cluster
     from mvla_sim.engine.cache import shared_cache
     from mvla_sim.paper.reproduce import reproduce as run_all
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from mvla_sim.cluster.pool import open_cluster
+from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.dataset.access import BenchmarkDataset, open_dataset
 from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.campaign import CampaignSettings, load_campaign

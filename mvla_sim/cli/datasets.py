@@ -82,7 +82,7 @@ def dataset_score(
 ) -> None:
     """Score methods on the test split, with thresholds from the validation split, and show the leaderboard."""
     from mvla_sim.cli.score import score
-    from mvla_sim.cluster.pool import open_cluster
+    from mvla_sim.cluster.opening import open_cluster
 
     with open_cluster(_workers(workers, scheduler), scheduler, note) as cluster:
         code = score(

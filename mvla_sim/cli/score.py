@@ -11,7 +11,7 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from mvla_sim.cluster.pool import Cluster
+from mvla_sim.cluster.interface import Cluster
 from mvla_sim.dataset.access import open_dataset
 from mvla_sim.dataset.leaderboard import build_leaderboard, write_leaderboard
 from mvla_sim.dataset.score import SCORES, score_dataset

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import hashlib
 import importlib
@@ -12,22 +13,21 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
+from mvla_sim.cluster.interface import Finished, TaskError
 from mvla_sim.engine.backend import set_threads
 from mvla_sim.engine.machine import PACKAGES, core_count, package_versions
-from mvla_sim.errors import reason
+from mvla_sim.engine.provenance import code_digest
+from mvla_sim.errors import MvlaError, RuntimeUnfitError, reason
 
 __all__ = [
-    "VERSIONED", "Broken", "Context", "Reply", "attempt", "call", "fair_share", "make", "single_threaded_algebra",
-    "source_digest", "thread_counts",
+    "VERSIONED", "Broken", "Context", "UnfitWorkerError", "attempt", "call", "fair_share", "make", "program_digest",
+    "single_threaded_algebra", "thread_counts",
 ]  # fmt: skip
 
 VERSIONED: Final = ("mvla-sim", *PACKAGES)
 """Distributions of which every worker must have the coordinator's version."""
-
-PACKAGE: Final = Path(__file__).parents[1]
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class Context:
     topic
         Name under which it announces the tasks it begins.
     digest
-        :func:`source_digest` of the coordinator; None where the workers cannot have any other.
+        :func:`program_digest` of the coordinator; None where the workers cannot have any other.
     threads
         Threads of Dr.Jit in each worker process; None lets the worker find its share.
-    crowded
+    shared_hosts
         (host, threads granted to all workers there) of hosts with several workers.
     environment
         Variables to set.
@@ -51,70 +51,66 @@ class Context:
     topic: str
     digest: str | None
     threads: int | None
-    crowded: tuple[tuple[str, int], ...] = ()
+    shared_hosts: tuple[tuple[str, int], ...] = ()
     environment: tuple[tuple[str, str], ...] = ()
 
 
-@dataclass(frozen=True)
-class Reply:
-    """A task's value or its error in one line, seconds it took, and who did it; ``unfit`` ends the run."""
-
-    value: Any
-    error: str
-    seconds: float
-    worker: str
-    unfit: bool = False
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Broken:
     """In place of a shared value that could not be made."""
 
-    error: str
+    error: MvlaError
 
 
-class _Unfit(Exception):  # noqa: N818 - becomes one line at the coordinator
-    """This process may not work on the run."""
+class UnfitWorkerError(RuntimeUnfitError):
+    """This process may not work on the run, which ends."""
 
 
-_alone = threading.Lock()
-_settled: Context | None = None
+_one_task = threading.Lock()
+_prepared_for: Context | None = None
 
 
-def call(context: Context, number: int, function: Callable[..., Any], *arguments: Any) -> Reply:
+def call(context: Context, number: int, function: Callable[..., Any], *arguments: Any) -> Finished:
     """Run one task; never raises. Workers with several threads do one task at a time, with all their threads."""
     from distributed import get_worker  # noqa: PLC0415 - the in-process runner does without it
     from distributed.utils import sync  # noqa: PLC0415
 
     worker = get_worker()
-    with _alone, _no_nested_dask():
+    with _one_task, _no_nested_dask():
         sync(worker.loop, worker.scheduler.log_event, topic=context.topic, msg=number)  # known there before it begins
-        return attempt(str(worker.name), lambda: _settle(context), function, *arguments)
+        return attempt(str(worker.name), function, *arguments, context=context)
 
 
 def make(context: Context, function: Callable[..., Any], *arguments: Any) -> Any:
     """Make a shared value, or :class:`Broken`; never raises."""
-    with _alone, _no_nested_dask():
-        reply = attempt("", lambda: _settle(context), function, *arguments)
-    return Broken(reply.error) if reply.error else reply.value
+    with _one_task, _no_nested_dask():
+        finished = attempt("", function, *arguments, context=context)
+    return finished.value if finished.error is None else Broken(finished.error)
 
 
-def attempt(worker: str, prepare: Callable[[], None], function: Callable[..., Any], *arguments: Any) -> Reply:
-    """Call a function and wrap what comes of it."""
+def attempt(worker: str, function: Callable[..., Any], *arguments: Any, context: Context | None = None) -> Finished:
+    """Call a function, in a process prepared for a run's ``context`` if there is one, and wrap what comes of it."""
     began = time.perf_counter()
-    value, error, unfit = None, "", False
+    value: Any = None
+    error: MvlaError | None = None
     try:
-        prepare()
+        if context is not None:
+            _prepare(context)
         broken = next((argument for argument in arguments if isinstance(argument, Broken)), None)
         if broken is None:
             value = function(*arguments)
         else:
             error = broken.error
-    except _Unfit as failure:
-        error, unfit = str(failure), True
     except Exception as failure:  # noqa: BLE001 - an error is a result; the coordinator decides what it means
-        error = reason(failure)
-    return Reply(value, error, time.perf_counter() - began, worker, unfit)
+        error = _sendable(failure)
+    return Finished(value, error, time.perf_counter() - began, worker)
+
+
+def _sendable(error: Exception) -> MvlaError:
+    """An error without its frames and causes, as text where the coordinator may not know its class."""
+    if isinstance(error, MvlaError) and type(error).__module__.startswith("mvla_sim."):
+        return copy.copy(error)
+    return TaskError(reason(error))
 
 
 def fair_share(granted: int, granted_to_all: int, machine: int, usable: int) -> int:
@@ -137,13 +133,10 @@ def fair_share(granted: int, granted_to_all: int, machine: int, usable: int) -> 
 
 
 @functools.cache
-def source_digest() -> str:
+def program_digest() -> str:
     """SHA-256, in hexadecimal, over Python's version, those of the packages that count, and this package's source."""
     versions = {"python": platform.python_version(), **package_versions(VERSIONED)}
-    digest = hashlib.sha256(repr(sorted(versions.items())).encode())
-    for file in sorted(PACKAGE.rglob("*.py")):
-        digest.update(f"{file.relative_to(PACKAGE)}\n".encode() + file.read_bytes())
-    return digest.hexdigest()
+    return hashlib.sha256(f"{sorted(versions.items())} {code_digest()}".encode()).hexdigest()
 
 
 def thread_counts() -> dict[str, int]:
@@ -172,13 +165,14 @@ def _no_nested_dask() -> contextlib.AbstractContextManager[object]:
     return nested
 
 
-def _settle(context: Context) -> None:
+def _prepare(context: Context) -> None:
     """Make this process fit for a run, once: same program, its share of threads, variables."""
-    global _settled  # noqa: PLW0603 - a process belongs to one run at a time
-    if _settled == context:
+    global _prepared_for  # noqa: PLW0603 - a process belongs to one run at a time
+    if _prepared_for == context:
         return
-    if context.digest not in (None, source_digest()):
-        raise _Unfit("a worker that joined has another Python, mvla-sim or package that counts than this machine")
+    if context.digest not in (None, program_digest()):
+        raise UnfitWorkerError("a worker that joined has another Python, mvla-sim or package that counts than this "
+                               "machine")  # fmt: skip
     os.environ.update(dict(context.environment))
     set_threads(_own_share(context) if context.threads is None else context.threads)
     import threadpoolctl  # noqa: PLC0415
@@ -186,7 +180,7 @@ def _settle(context: Context) -> None:
     for library in ("numpy", "scipy.linalg"):  # what is loaded later reads the variables that workers are started with
         importlib.import_module(library)
     threadpoolctl.threadpool_limits(1)
-    _settled = context
+    _prepared_for = context
 
 
 def _own_share(context: Context) -> int:
@@ -195,5 +189,5 @@ def _own_share(context: Context) -> int:
 
     worker = get_worker()
     granted = worker.state.nthreads
-    all_granted = dict(context.crowded).get(get_address_host(worker.address), granted)
+    all_granted = dict(context.shared_hosts).get(get_address_host(worker.address), granted)
     return fair_share(granted, all_granted, os.cpu_count() or 1, core_count())

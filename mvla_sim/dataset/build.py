@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from mvla_sim.channel.simulate import SimulationInterruptedError
-from mvla_sim.cluster.pool import WORKER_DIED, Cluster, Finished, open_cluster
+from mvla_sim.cluster.interface import Cluster, Finished, WorkerDiedError
+from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.dataset.campaign import CampaignSettings, load_campaign
 from mvla_sim.dataset.index import INDEX, FailedSample, Index, ShardEntry, file_sha256
 from mvla_sim.dataset.reader import ShardReader
@@ -199,11 +200,11 @@ class _Builder:
             for task, result in finished:
                 number = missing[task]
                 self._note_deaths(result, shard_name(number))
-                if result.error == WORKER_DIED:
+                if isinstance(result.error, WorkerDiedError):
                     deadly.append(number)
-                elif result.error:
-                    _refuse(result.error)
-                    self.notes.append(f"{shard_name(number)}: not made ({result.error}); run the same command again")
+                elif result.error is not None:
+                    _raise_if_final(result.error)
+                    self.notes.append(f"{shard_name(number)}: not made ({result.reason}); run the same command again")
                 else:
                     self._keep(result.value, cluster, advance)
                 self._check_deaths(cluster)
@@ -220,9 +221,9 @@ class _Builder:
             for task, result in finished:
                 sample = numbers[task]
                 self._note_deaths(result, f"sample {sample}")
-                if result.error != WORKER_DIED:
-                    _refuse(result.error)
-                found[sample] = Failure(sample, result.error) if result.error else result.value
+                if result.error is not None:
+                    _raise_if_final(result.error)
+                found[sample] = Failure(sample, result.reason) if result.error else result.value
                 seconds += result.seconds
         made = [found[sample] for sample in numbers]
         shard = encode(
@@ -267,18 +268,17 @@ class _Builder:
         if (deaths := cluster.deaths - self._deaths) >= MOST_DEATHS:
             raise RuntimeUnfitError(
                 f"workers died {deaths} times and finished no shard meanwhile; what is finished is kept. Is there "
-                "enough memory? Try fewer workers, or fewer samples_per_shard"
+                "enough memory? Try fewer workers, or fewer samples_per_shard",
+                setting="workers",
             )
 
 
-def _refuse(error: str) -> None:
+def _raise_if_final(error: MvlaError) -> None:
     """Raise where an error of a task ends the build."""
-    kind, _, message = error.partition(": ")
-    if kind == SimulationInterruptedError.__name__:
-        raise KeyboardInterrupt
-    for ending in (RuntimeUnfitError, OutputError):
-        if kind == ending.__name__:
-            raise ending(message)
+    if isinstance(error, SimulationInterruptedError):
+        raise KeyboardInterrupt from error
+    if isinstance(error, RuntimeUnfitError | OutputError):
+        raise error
 
 
 def _write(folder: Path, campaign: CampaignSettings, shard: Shard) -> ShardEntry:

@@ -12,7 +12,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from mvla_sim.cluster.pool import Cluster, InProcess
+from mvla_sim.cluster.in_process import InProcess
+from mvla_sim.cluster.interface import Cluster
 from mvla_sim.dataset.access import BenchmarkDataset, open_dataset
 from mvla_sim.dataset.protocol import (
     PROTOCOL,
@@ -227,8 +228,8 @@ def _over(
     with interruptible(), progress(f"scoring {dataset.split}", len(dataset), "samples") as advance:
         tasks = ((dataset[k], tuple(settings), tuple(thresholds)) for k in range(len(dataset)))
         for k, finished in cluster.run(score_sample, tasks, label="score"):
-            if finished.error:
-                raise DataError(f"sample {dataset.numbers[k]}: {finished.error}")
+            if finished.error is not None:
+                raise DataError(f"sample {dataset.numbers[k]}: {finished.reason}") from finished.error
             found[k] = finished.value
             advance(1)
     return [[found[k][number] for k in range(len(dataset))] for number in range(len(settings))]

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import datetime
+import functools
+import hashlib
 import platform
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Final
 
 from mvla_sim.engine.backend import active
 from mvla_sim.engine.machine import cpu_name, package_versions, program_version
 
-__all__ = ["code_commit", "provenance"]
+__all__ = ["code_commit", "code_digest", "provenance"]
+
+PACKAGE: Final = Path(__file__).resolve().parents[1]
 
 
 def provenance() -> dict[str, str]:
@@ -24,18 +29,44 @@ def provenance() -> dict[str, str]:
         backend_text = "none"
     else:
         backend_text = f"llvm {backend.libllvm_version}" if backend.name == "llvm" else backend.name
+    created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    return {**_installation(), "created": created, "backend": backend_text}
+
+
+@functools.cache
+def _installation() -> dict[str, str]:
+    """What stays the same as long as the process runs; git is asked once."""
     return {
         "program": f"mvla-sim {program_version()}",
         "commit": code_commit(),
-        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "cpu": cpu_name(),
-        "backend": backend_text,
     } | {name: version or "missing" for name, version in package_versions().items()}
 
 
-def code_commit(folder: Path | None = None) -> str:
+@functools.cache
+def code_digest(*parts: str) -> str:
+    """SHA-256, in hexadecimal, over the source files of some parts of the package; by default of all of it.
+
+    Parameters
+    ----------
+    parts
+        Names of subpackages and of modules, as ``imaging`` or ``grid``.
+
+    Notes
+    -----
+    The files are read once a process, as Python itself does.
+    """
+    digest = hashlib.sha256()
+    for file in sorted(PACKAGE.rglob("*.py")):
+        name = file.relative_to(PACKAGE)
+        if not parts or name.parts[0].removesuffix(".py") in parts:
+            digest.update(f"{name}\n".encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+def code_commit(folder: Path = PACKAGE.parent) -> str:
     """Commit of the code, "-dirty" where files differ from it, "unknown" outside a checkout.
 
     Parameters
@@ -44,7 +75,6 @@ def code_commit(folder: Path | None = None) -> str:
         The checkout's top; by default the one this package lies in. An installed copy inside some other
         repository is not taken for that repository.
     """
-    folder = folder or Path(__file__).resolve().parents[2]
     git = shutil.which("git")
     if git is None or not (folder / ".git").exists():
         return "unknown"

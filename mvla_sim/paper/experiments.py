@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mvla_sim.channel.simulate import simulate
-from mvla_sim.cluster.pool import Cluster
+from mvla_sim.cluster.interface import Cluster
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
 from mvla_sim.imaging.imaging_settings import imaging_settings

@@ -11,7 +11,7 @@ from typing import Any, Final
 from rich.console import Console
 
 from mvla_sim.channel.simulate import simulate
-from mvla_sim.cluster.pool import Cluster
+from mvla_sim.cluster.interface import Cluster
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
 from mvla_sim.measured.command import run_process

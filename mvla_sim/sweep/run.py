@@ -14,7 +14,8 @@ from typing import Any
 import pandas as pd
 
 from mvla_sim.channel.simulate import SimulationInterruptedError, cache_file, simulate
-from mvla_sim.cluster.pool import WORKER_DIED, Cluster, Finished, Shared, open_cluster
+from mvla_sim.cluster.interface import Cluster, Finished, Shared, WorkerDiedError
+from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.engine.cache import cache_url, discard, pull, push
 from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import MvlaError, OutputError, RuntimeUnfitError
@@ -241,7 +242,7 @@ class _Runner:
             tasks = ((scenes[channel],) for channel in missing)
             for index, finished in cluster.run(trace, tasks, label="trace"):
                 if finished.error:
-                    broken[missing[index]] = finished.error
+                    broken[missing[index]] = finished.reason
                 elif not shared:
                     _keep_file(cache_file(scenes[missing[index]]), finished.value)
                 traced(1)
@@ -275,10 +276,12 @@ class _Runner:
             which = f"case {piece.cases[0].number}" if len(piece.cases) == 1 else f"{len(piece.cases)} cases"
             self.notes.append(f"a worker died {_times(finished.deaths)} while it ran {which} of {task.scene.name}")
         value: Any = finished.value
-        if finished.error == WORKER_DIED and len(piece.cases) > 1:  # one of them may be the cause: each on its own
+        if (
+            isinstance(finished.error, WorkerDiedError) and len(piece.cases) > 1
+        ):  # one of them may be the cause: each on its own
             return [_Piece(piece.number, (case,), piece.edition) for case in piece.cases]
         if finished.error:
-            self._fail(piece.cases, finished.error, advance)
+            self._fail(piece.cases, finished.reason, advance)
         elif not isinstance(value, Failed):
             for row in value:
                 self._keep(row, advance)
@@ -303,7 +306,8 @@ class _Runner:
         if deaths >= MOST_DEATHS:
             raise RuntimeUnfitError(
                 f"workers died {deaths} times in the middle of their cases; what is finished is stored. Is there "
-                f"enough memory? Try --workers 1"
+                f"enough memory? Try workers = 1",
+                setting="workers",
             )
 
     def _keep(self, row: Row, advance: Advance) -> None:

@@ -12,7 +12,7 @@ from campaigns import digests, fake_simulate, tiny
 from existing_cluster import Existing
 
 from mvla_sim.cluster import dask_cluster as dask_module
-from mvla_sim.cluster.pool import WORKER_DIED, open_cluster
+from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.dataset import build as module
 from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.index import Index
@@ -78,7 +78,7 @@ def test_the_sample_that_kills_its_workers_fails_alone(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setenv(clusters.POISON, "5")
         result = build_dataset(tiny(tmp_path), tmp_path / "out", workers=1)
-    assert [(failure.sample, failure.error) for failure in result.index.failed] == [(5, WORKER_DIED)]
+    assert [(failure.sample, failure.error) for failure in result.index.failed] == [(5, "worker died")]
     assert result.index.numbers() == [0, 1, 2, 3, 4, 6, 7, 8, 9]
     assert digests(result.index)[0::2] == whole[0::2]
     assert result.notes[-1] == "a worker died once while it made sample 5"

@@ -12,7 +12,7 @@ from campaigns import tiny
 
 import mvla_sim as mv
 from mvla_sim.cli.app import run
-from mvla_sim.cluster.pool import open_cluster
+from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.dataset import access
 from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.leaderboard import build_leaderboard

@@ -59,6 +59,33 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("kind", [ConnectionResetError, FileNotFoundError, PermissionError])
+def test_errors_of_other_things_pass_unchanged(tmp_path, kind):
+    """A file that the block reads, or a worker it waits for, is no fault of the target."""
+    other = tmp_path / "input.nc"
+    error = kind(errno.EACCES, "not mine", str(other)) if kind is not ConnectionResetError else kind("gone")
+    with pytest.raises(kind) as caught:
+        write(tmp_path / "result.nc", error=error)
+    assert caught.value is error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_writers_own_errors_name_the_target(tmp_path):
+    """HDF5's error names the temporary file in its text alone."""
+    target = tmp_path / "result.nc"
+    with pytest.raises(OutputError, match=r"result\.nc: cannot be written"), atomic_output(target) as temporary:
+        raise OSError(f"unable to create file (file write failed: filename = '{temporary}', errno = 5)")
+    with pytest.raises(OutputError, match=r"result\.nc: not writable"), atomic_output(target) as temporary:
+        raise PermissionError(errno.EACCES, "not yours", str(temporary))
+
+
+def test_no_thread_sees_another_umask(tmp_path, monkeypatch):
+    """The process's umask is never changed, not even for a moment."""
+    monkeypatch.setattr(os, "umask", None)
+    write(tmp_path / "result")
+    assert (tmp_path / "result").exists()
+
+
 def test_a_failing_rename_leaves_nothing(tmp_path, monkeypatch):
     def refuse(self, target):
         raise OSError(errno.EROFS, "Read-only file system")

@@ -14,6 +14,7 @@ import cluster_tasks as tasks
 import pandas as pd
 import psutil
 import pytest
+from distributed import Client
 from existing_cluster import Existing
 from sweep_files import experiment, numbers
 
@@ -21,11 +22,12 @@ from mvla_sim.channel.simulate import cache_file
 from mvla_sim.cluster import dask_cluster as module
 from mvla_sim.cluster import worker as worker_module
 from mvla_sim.cluster.dask_cluster import IN_FLIGHT
-from mvla_sim.cluster.pool import WORKER_DIED, open_cluster
+from mvla_sim.cluster.interface import TaskError, WorkerDiedError
+from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.cluster.worker import fair_share
 from mvla_sim.engine.cache import VARIABLE, shared_cache
 from mvla_sim.engine.machine import core_count
-from mvla_sim.errors import ConfigError, OutputError, RuntimeUnfitError
+from mvla_sim.errors import ConfigError, DataError, OutputError, RuntimeUnfitError
 from mvla_sim.sweep import run as run_module
 from mvla_sim.sweep.case import Row
 from mvla_sim.sweep.plan import expand
@@ -78,14 +80,18 @@ def check_tasks(cluster):
     """Values, errors, shared values, and that tasks are taken as they are needed."""
     results = dict(cluster.run(tasks.divide, [(6, 2), (1, 0), (8, 2)], label="divide"))
     assert [results[number].value for number in range(3)] == [3, None, 4]
-    assert [results[number].error for number in range(3)] == ["", "DataError: 1 / 0 cannot be", ""]
+    assert [results[number].reason for number in range(3)] == ["", "DataError: 1 / 0 cannot be", ""]
+    assert isinstance(results[1].error, DataError)  # the error itself, where it is of this package
+    (result,) = cluster.run(tasks.divide, [("a", 2)], label="divide")
+    assert isinstance(result[1].error, TaskError)
+    assert result[1].reason == "TypeError: unsupported operand type(s) for /: 'str' and 'int'"
     shared = cluster.share(tasks.made, 7)
     taken = [finished.value for _, finished in cluster.run(tasks.takes, ((shared, n) for n in range(5)), label="take")]
     assert sorted(number for _, number in taken) == list(range(5))
     assert len({value for value, _ in taken}) == 1  # made once
     broken = cluster.share(tasks.nothing)
     (result,) = cluster.run(tasks.takes, [(broken, 0)], label="take")
-    assert result[1].error == "DataError: nothing to share"
+    assert result[1].reason == "DataError: nothing to share"
     pulled = []
     many = cluster.run(tasks.divide, ((pulled.append(n) or n, 1) for n in range(10**6)), label="many")
     for count, _ in enumerate(many, 1):
@@ -99,7 +105,7 @@ def test_in_this_process_without_dask():
     with open_cluster(0) as cluster:
         check_tasks(cluster)
     program = (
-        "import sys; from mvla_sim.cluster.pool import open_cluster\n"
+        "import sys; from mvla_sim.cluster.opening import open_cluster\n"
         "with open_cluster(0) as c: print(*c.run(abs, [(-1,)], label='x'))\n"
         "sys.exit('distributed' in sys.modules)"
     )
@@ -137,7 +143,8 @@ def test_leaving_does_not_wait_for_what_runs():
 def test_only_the_task_that_kills_its_workers_is_given_up(tmp_path):
     with open_cluster(2) as cluster:
         results = dict(cluster.run(tasks.die, [(n, 5) for n in range(12)], label="die"))
-        assert {n: r.error for n, r in results.items()} == {n: WORKER_DIED if n == 5 else "" for n in range(12)}
+        assert {n: r.reason for n, r in results.items()} == {n: "worker died" if n == 5 else "" for n in range(12)}
+        assert isinstance(results[5].error, WorkerDiedError)
         assert results[5].deaths == cluster.deaths == 3
         again = dict(cluster.run(tasks.die_once, [(n, 3, str(tmp_path / "mark")) for n in range(6)], label="once"))
         assert [again[n].value for n in range(6)] == list(range(6))
@@ -148,15 +155,15 @@ def test_a_result_that_dies_with_its_worker_is_made_again():
     """Dask calls it lost; the run goes on, and no death is laid on the task."""
     with open_cluster(1) as cluster:
         cluster.start()
-        flight = module._Flight(0, ())
-        flight.future = SimpleNamespace(status="lost")
-        cluster._events.put((77, flight.future))
-        assert cluster._landed({77: flight}) == [(flight, None)]
-        assert (flight.deaths, cluster.deaths) == (0, 0)
-        flight.future = SimpleNamespace(status="cancelled")  # as when the scheduler is gone
-        cluster._events.put((78, flight.future))
+        task = module._Submitted(0, ())
+        task.future = SimpleNamespace(status="lost")
+        cluster._events.put((77, task.future))
+        assert cluster._wait({77: task}) == [(task, None)]
+        assert (task.deaths, cluster.deaths) == (0, 0)
+        task.future = SimpleNamespace(status="cancelled")  # as when the scheduler is gone
+        cluster._events.put((78, task.future))
         with pytest.raises(RuntimeUnfitError, match="the connection is lost"):
-            cluster._landed({78: flight})
+            cluster._wait({78: task})
 
 
 @pytest.mark.parametrize(
@@ -210,7 +217,7 @@ def test_a_case_that_kills_its_workers_fails_alone(undisturbed, tmp_path, monkey
     monkeypatch.setenv(tasks.POISON, plan.cases[9].key)
     result = run_plan(plan, tmp_path / "out", workers=2)
     assert list(result.table.loc[result.table["status"] == "failed", "case"]) == [9]
-    assert result.table["error"][9] == WORKER_DIED
+    assert result.table["error"][9] == "worker died"
     assert result.notes[-1] == "a worker died once while it ran case 9 of box"
     monkeypatch.undo()
     assert_same(run_plan(plan, tmp_path / "out", workers=0).table, expected)
@@ -299,21 +306,36 @@ def test_an_existing_cluster_with_a_shared_cache_a_full_disk_and_a_case_that_rai
     assert not list((tmp_path / "our-cache").rglob("*.nc"))
 
 
+def other_versions(client, *, packages, original=Client.get_versions):
+    """What Dask finds, had this machine another version of mvla-sim."""
+    found = original(client, packages=packages)
+    found["client"]["packages"]["mvla-sim"] = "0.0.1"
+    return found
+
+
+class OtherProgram:
+    """Stands for the digest's function, and gives another digest here than where it is sent."""
+
+    def __call__(self):
+        return "0"
+
+    def __reduce__(self):
+        return getattr, (worker_module, "program_digest")
+
+
 @pytest.mark.slow
 def test_workers_with_other_versions_are_refused(existing, tmp_path, monkeypatch):
     existing.start()
     with monkeypatch.context() as patch:
-        patch.setattr(module, "package_versions", lambda names: dict.fromkeys(names, "0.0.1"))
+        patch.setattr(Client, "get_versions", other_versions)
         with (
             open_cluster(None, existing.address) as cluster,
             pytest.raises(RuntimeUnfitError, match=r"worker tcp://.* has mvla-sim .*, this machine 0\.0\.1; install"),
         ):
             cluster.start()
-    monkeypatch.setattr(worker_module, "PACKAGE", tmp_path)
-    worker_module.source_digest.cache_clear()
+    monkeypatch.setattr("mvla_sim.cluster.existing_cluster.program_digest", OtherProgram())
     with (
         open_cluster(None, existing.address) as cluster,
         pytest.raises(RuntimeUnfitError, match="but its code differs from this machine's"),
     ):
         cluster.start()
-    worker_module.source_digest.cache_clear()
