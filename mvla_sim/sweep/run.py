@@ -276,9 +276,8 @@ class _Runner:
             which = f"case {piece.cases[0].number}" if len(piece.cases) == 1 else f"{len(piece.cases)} cases"
             self.notes.append(f"a worker died {_times(finished.deaths)} while it ran {which} of {task.scene.name}")
         value: Any = finished.value
-        if (
-            isinstance(finished.error, WorkerDiedError) and len(piece.cases) > 1
-        ):  # one of them may be the cause: each on its own
+        if isinstance(finished.error, WorkerDiedError) and len(piece.cases) > 1:
+            # One of them may be the cause: each on its own.
             return [_Piece(piece.number, (case,), piece.edition) for case in piece.cases]
         if finished.error:
             self._fail(piece.cases, finished.reason, advance)
