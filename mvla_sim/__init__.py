@@ -53,10 +53,12 @@ if TYPE_CHECKING:
     from mvla_sim.imaging.observation import Observation
     from mvla_sim.imaging.pipeline import reconstruct
     from mvla_sim.imaging.volumes import export_image
-    from mvla_sim.measured.process import process
-    from mvla_sim.measured.process_settings import load_process
-    from mvla_sim.plot.figures import plot_comparison, plot_image, plot_scene
+    from mvla_sim.measured.process import load_process, process
+    from mvla_sim.plot.curves import plot_curves
+    from mvla_sim.plot.image_figures import plot_comparison, plot_image
+    from mvla_sim.plot.scene_figures import plot_scene
     from mvla_sim.plot.style import save_figure
+    from mvla_sim.plot.waterfall import plot_waterfall
     from mvla_sim.scene.world import Scene
 
 __version__ = "0.1.0"
@@ -78,12 +80,15 @@ _HOMES = {
     "imaging_settings": "imaging.imaging_settings",
     "import_channel": "channel.readers.importing",
     "import_settings": "channel.readers.import_settings",
+    "list_settings": "listing",
     "load_channel": "channel.loading",
-    "load_process": "measured.process_settings",
+    "load_process": "measured.process",
     "open_dataset": "dataset.access",
-    "plot_comparison": "plot.figures",
-    "plot_image": "plot.figures",
-    "plot_scene": "plot.figures",
+    "plot_comparison": "plot.image_figures",
+    "plot_curves": "plot.curves",
+    "plot_image": "plot.image_figures",
+    "plot_scene": "plot.scene_figures",
+    "plot_waterfall": "plot.waterfall",
     "process": "measured.process",
     "reconstruct": "imaging.pipeline",
     "save_figure": "plot.style",
@@ -110,12 +115,15 @@ __all__ = [
     "imaging_settings",
     "import_channel",
     "import_settings",
+    "list_settings",
     "load_channel",
     "load_process",
     "open_dataset",
     "plot_comparison",
+    "plot_curves",
     "plot_image",
     "plot_scene",
+    "plot_waterfall",
     "process",
     "reconstruct",
     "save_figure",

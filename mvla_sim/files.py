@@ -13,7 +13,7 @@ from typing import Final
 from mvla_sim.errors import DataError, OutputError
 from mvla_sim.interrupt import interruptible
 
-__all__ = ["atomic_output", "check_writable", "existing_file"]
+__all__ = ["atomic_output", "check_writable", "existing_file", "make_folder"]
 
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What writing to an open file raises, without the file's name."""
@@ -60,6 +60,22 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     """
     with interruptible():
         _temporary_beside(Path(path)).unlink()
+
+
+def make_folder(path: str | os.PathLike[str]) -> Path:
+    """Make a folder, and those it lies in, where they are missing.
+
+    Raises
+    ------
+    OutputError
+        It cannot be made.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    return folder
 
 
 def _temporary_beside(target: Path) -> Path:

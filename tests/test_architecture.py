@@ -17,7 +17,7 @@ ROOT = Path(mvla_sim.__file__).parent
 FLOW = (
     "constants", "errors", "interrupt", "progress", "memory", "streams", "files", "netcdf", "settings", "kinds",
     "distributions", "dsp", "grid", "engine", "cluster", "scene", "channel", "imaging", "evaluation", "sweep",
-    "dataset", "plot", "measured", "bench", "paper", "cli",
+    "dataset", "plot", "pictures", "measured", "listing", "bench", "paper", "cli",
 )  # fmt: skip
 """Every part of the package, each of which may import those before it: what all use, the stages, their users."""
 MODULES = sorted(ROOT.rglob("*.py"))

@@ -1,4 +1,4 @@
-"""Options that several commands share, and where they print."""
+"""What commands share: where they print, options, and checks of what was given."""
 
 from __future__ import annotations
 
@@ -7,8 +7,25 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.table import Table
 
-__all__ = ["CacheUrl", "Output", "Overrides", "Scheduler", "Workers", "errors", "note", "out"]
+from mvla_sim.errors import ConfigError
+from mvla_sim.files import check_writable
+
+__all__ = [
+    "CacheUrl",
+    "Output",
+    "Overrides",
+    "Scheduler",
+    "Workers",
+    "check_output",
+    "errors",
+    "note",
+    "out",
+    "say",
+    "show",
+    "wrote",
+]
 
 errors = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
 out = Console(soft_wrap=True, highlight=False, emoji=False)
@@ -23,7 +40,45 @@ CacheUrl = Annotated[
     str | None, typer.Option("--cache-url", help="Cache of CIRs that the workers share; default $MVLA_CACHE_URL.")
 ]
 
+WIDE = 10_000
+"""Columns of what is no terminal: a file or pipe has room for every table."""
+
+
+def say(text: str) -> None:
+    """Print a result as it is; brackets in it are no markup."""
+    out.print(text, markup=False)
+
 
 def note(text: str) -> None:
     """Tell something that is no result."""
     errors.print(f"mvla: {text}", markup=False)
+
+
+def wrote(*files: Path, what: str = "wrote") -> None:
+    """Name files that were written."""
+    for file in files:
+        say(f"{what + ':':<9} {file}")
+
+
+def show(table: Table) -> None:
+    """Print a table with nothing cut off: cells fold in a terminal, and have all the room they need in a file."""
+    for column in table.columns:
+        column.overflow = "fold"
+    if not out.is_terminal:
+        out.width = WIDE
+    out.print(table, soft_wrap=False, markup=False)
+
+
+def check_output(path: Path, *suffixes: str) -> None:
+    """Refuse an output that cannot be written, before anything is computed.
+
+    Raises
+    ------
+    ConfigError
+        The name ends in none of the suffixes.
+    OutputError
+        The file cannot be written.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise ConfigError(f"-o {path}: the name must end in {' or '.join(suffixes)}")
+    check_writable(path)

@@ -1,36 +1,117 @@
-"""From measured data, or a scene, to an image, its binary result and figures of merit: the stages in order."""
+"""From measured data, or a scene, to an image, its binary result and figures of merit: settings and stages in order.
+
+Settings come from one TOML file; :func:`mvla_sim.measured.process_files.write_processed` writes what came of it.
+"""
 
 from __future__ import annotations
 
 import math
+import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from mvla_sim.channel.loading import Channel
-from mvla_sim.channel.readers.import_settings import ImportSettings
+from mvla_sim.channel.readers.import_settings import ImportSettings, resolve_files
 from mvla_sim.channel.readers.importing import import_channel
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.channel.synthesis import synthesize, write_campaign
+from mvla_sim.channel.synthesis_settings import SynthesisSettings
 from mvla_sim.errors import ConfigError, OutputError
 from mvla_sim.evaluation.boxes import Box, bounding_box, box_of_outline, largest_parts
 from mvla_sim.evaluation.evaluate import Evaluation, evaluate
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
+from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings
 from mvla_sim.imaging.pipeline import reconstruct
-from mvla_sim.measured.process_settings import SWEEPS, MeasurementSettings, ProcessSettings
 from mvla_sim.scene.trajectory_settings import TurntableTrajectory, whole_turn
 from mvla_sim.scene.world import Scene
+from mvla_sim.settings import Settings, apply_overrides, parse, read_toml, resolve_beside
 
-__all__ = ["Processed", "process", "turn_between"]
+__all__ = ["MeasurementSettings", "ProcessSettings", "Processed", "load_process", "process", "turn_between"]
 
 
-@dataclass(frozen=True, eq=False)
+SWEEPS = "sweeps"
+"""Folder of a synthetic measurement's files, inside that of the results."""
+
+
+class MeasurementSettings(SynthesisSettings):
+    """A synthetic measurement: a scene is traced and written as a laboratory's files, from which all else is made."""
+
+    scene: str
+
+
+class ProcessSettings(Settings):
+    """Where data come from, how they are imaged, and what they are compared with.
+
+    Give one source: ``import`` (files of a laboratory or another program; with ``measurement`` they are made first) or
+    ``scene`` (traced and imaged directly).
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w-]*$")]
+    description: str = ""
+    measurement: MeasurementSettings | None = None
+    source: ImportSettings | None = Field(None, alias="import", description="as in mvla import")
+    scene: str | None = Field(None, description="a scene file, traced and imaged without any file between")
+    imaging: ImagingSettings = ImagingSettings()
+    truth: str | None = Field(None, description="a scene file whose outline is drawn over and scored against")
+    evaluation: EvaluationSettings = EvaluationSettings()
+    smallest_part: Annotated[float, Field(ge=0, lt=1)] = Field(
+        0.02, description="connected parts below this share of the result are left out of its bounding box"
+    )
+    thinnest_m: Annotated[float, Field(ge=0)] = Field(
+        0.25, description="parts of the true outline thinner than this, such as mirrors, are left out of its box"
+    )
+    export: tuple[Literal["vtk", "ply"], ...] = Field((), description="also write the image in these formats")
+
+    @model_validator(mode="after")
+    def _check(self) -> ProcessSettings:
+        if (self.source is None) == (self.scene is None):
+            raise ValueError("give either import or scene")
+        if self.measurement is not None and self.source is None:
+            raise ValueError("measurement needs import: it says how the files that are made are read")
+        if "ply" in self.export and not self._finds_thresholds():
+            raise ValueError("export: 'ply' is the surface of the binary result; give imaging.threshold")
+        return self
+
+    def _finds_thresholds(self) -> bool:
+        """Whether there will be a binary result: at thresholds of the settings, or at the best against a truth."""
+        compared = self.truth is not None and VoxelGrid.from_settings(self.imaging.grid).counts[2] == 1
+        return compared or self.imaging.threshold is not None
+
+
+def load_process(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> ProcessSettings:
+    """Read the TOML file; names inside are relative to it, those of ``import`` after a ``measurement`` to its sweeps.
+
+    Raises
+    ------
+    DataError, ConfigError
+        One line that names the file, the key, its value and what is allowed.
+    """
+    data: dict[str, Any] = apply_overrides(read_toml(path, "process file"), overrides)
+    folder = Path(path).parent
+    for key in ("scene", "truth"):
+        if isinstance(data.get(key), str):
+            data[key] = resolve_beside(data[key], folder)
+    made, source = data.get("measurement"), data.get("import")
+    if isinstance(made, dict) and isinstance(made.get("scene"), str):
+        made["scene"] = resolve_beside(made["scene"], folder)
+    if isinstance(source, dict):
+        if made is None:
+            resolve_files(source, folder)
+        else:
+            source.setdefault("source", SWEEPS)
+    return parse(ProcessSettings, data, str(path))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Processed:
     """What came of a measurement.
 
@@ -60,6 +141,11 @@ class Processed:
     box: Box | None
     truth_box: Box | None
     seconds: dict[str, float]
+
+    def __repr__(self) -> str:
+        """One line: the image, and how it compares with the truth."""
+        score = "" if self.evaluation is None else f", CD {self.evaluation.cd_db:.1f} dB(m²)"
+        return f"Processed({self.image.method}, {self.image.n_view} views, {self.image.grid.size} voxels{score})"
 
     def merit(self) -> dict[str, Any]:
         """Figures of merit as plain data: boxes, scores, thresholds and times."""

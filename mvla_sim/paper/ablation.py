@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -10,10 +12,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from mvla_sim.errors import DataError
+from mvla_sim.files import atomic_output
 from mvla_sim.imaging.methods.registry import title_of
-from mvla_sim.plot.style import COLORS, DOUBLE_COLUMN_IN, figure_style, new_figure
+from mvla_sim.plot.style import COLORS, DOUBLE_COLUMN_IN, figure_style, new_figure, save_figure
+from mvla_sim.sweep.plan import Plan
 
-__all__ = ["BESIDE", "LADDER", "ablation_table", "markdown", "plot_ablation"]
+__all__ = ["BESIDE", "LADDER", "ablation_table", "draw_ablation", "markdown", "plot_ablation"]
 
 LADDER: Final = ("hard-vote", "soft-kernel", "power-weights", "mvla-gr")
 BESIDE: Final = ("bp", "bp-peaks", "bp-normalised", "bp-gated")
@@ -82,6 +86,21 @@ def markdown(table: pd.DataFrame, digits: int = 1) -> str:
         cells = [f"{v:.{digits}f}" if isinstance(v, float | np.floating) else str(v) for v in row]
         lines.append(f"| {title_of(str(name))} | " + " | ".join(cells).replace("-", "\N{MINUS SIGN}") + " |")
     return "\n".join(lines) + "\n"
+
+
+def draw_ablation(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
+    """Draw the ladder and write its table, where an experiment is of its rungs and of nothing that is not drawn."""
+    methods = set(plan.experiment.axes.get("method", ()))
+    if not set(LADDER) <= methods <= {*LADDER, *BESIDE} or "interval_deg" not in plan.experiment.axes:
+        return []
+    with contextlib.suppress(DataError):  # no case is finished
+        files = [folder / "ablation.md", folder / "ablation.png", folder / "ablation.pdf"]
+        with atomic_output(files[0]) as temporary:
+            temporary.write_text(markdown(ablation_table(table)), encoding="utf-8")
+        for file in files[1:]:
+            save_figure(plot_ablation(table), file)
+        return files
+    return []
 
 
 def _finished(table: pd.DataFrame, needed: Sequence[str] = ("scene", "method", "cd_db")) -> pd.DataFrame:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.plot.curves import LINE_COLORS, MARKERS
-from mvla_sim.plot.style import DOUBLE_COLUMN_IN, figure_style, legend_columns, new_figure
+from mvla_sim.plot.style import DOUBLE_COLUMN_IN, figure_legend, figure_style, new_figure
 
 __all__ = ["EXPLAINED", "WAYS", "automatic_cost", "fair_table", "plot_fair"]
 
@@ -161,5 +161,5 @@ def plot_fair(table: pd.DataFrame) -> Figure:
             panel.set_axisbelow(True)
             panel.grid(visible=True, axis="x")
         keys = panels[0].get_legend_handles_labels()[0]
-        figure.legend(handles=keys, loc="outside upper center", ncols=legend_columns(figure, keys))
+        figure_legend(figure, keys, "upper")
     return figure

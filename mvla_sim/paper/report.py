@@ -11,10 +11,10 @@ import pandas as pd
 
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
-from mvla_sim.measured.command import RESULT
+from mvla_sim.measured.process_files import RESULT
 from mvla_sim.paper.averages import mean_advantage
 from mvla_sim.paper.beyond import sections_beyond
-from mvla_sim.paper.claims import Claim, Tables, claims_table, judge, thresholds_table
+from mvla_sim.paper.claims import Claim, ResultTables, claims_table, judge, thresholds_table
 from mvla_sim.paper.page import Section, pretty, table_html, write_page
 from mvla_sim.paper.panels import parameter_maps, plot_cd_panels, plot_examples, plot_parameter_maps, plot_verdicts
 from mvla_sim.plot.style import png_bytes, save_figure
@@ -69,7 +69,7 @@ def write_report(folder: Path) -> Path:
     if vehicle:
         checks["c14"] = vehicle
     optimal, calibrated = found["star-optimal"], found["star-calibrated"]
-    claims = judge(Tables(found["kappa-eta"], optimal, calibrated, checks))
+    claims = judge(ResultTables(found["kappa-eta"], optimal, calibrated, checks))
     _csv(claims_table(claims), folder / "claims.csv")
     sections = [
         _keys(claims, optimal, _json(folder / "run.json"), _unfinished(found)),
@@ -243,7 +243,7 @@ def _sensitivity(folder: Path, star: pd.DataFrame | None, maps: pd.DataFrame | N
     gaps = []
     for variant in star["variant"].unique():
         part = None if maps is None else maps[maps["variant"] == variant]
-        claims = judge(Tables(kappa_eta=part, star_optimal=star[star["variant"] == variant]))
+        claims = judge(ResultTables(kappa_eta=part, star_optimal=star[star["variant"] == variant]))
         rows[variant] = {claim.number: claim.verdict for claim in claims}
         measured = {claim.number: claim.measured for claim in claims}
         gaps.append(

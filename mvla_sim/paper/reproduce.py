@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
-
-from rich.console import Console
 
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.cluster.interface import Cluster
 from mvla_sim.errors import DataError
-from mvla_sim.files import atomic_output
-from mvla_sim.measured.command import run_process
+from mvla_sim.files import atomic_output, make_folder
+from mvla_sim.measured.process import Processed, load_process, process
+from mvla_sim.measured.process_files import write_processed
 from mvla_sim.paper.checks import measure_cost, measure_phase
-from mvla_sim.paper.experiments import execute
 from mvla_sim.paper.report import draw_examples, write_report
+from mvla_sim.pictures.run_pictures import draw_run
 from mvla_sim.scene.world import Scene
 from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import Plan, expand
+from mvla_sim.sweep.run import RunResult, run_plan
 
-__all__ = ["EXPERIMENTS", "MEASURED", "reproduce"]
+__all__ = ["EXPERIMENTS", "MEASURED", "MeasurementStep", "RunStep", "reproduce"]
 
 EXPERIMENTS: Final = (
     "main", "kappa-eta", "star-optimal", "star-calibrated", "examples", "sensitivity-star", "sensitivity-map",
@@ -34,28 +35,44 @@ QUICK_SKIPS: Final = ("sensitivity-star", "sensitivity-map")
 QUICK_OVERRIDES: Final = dict.fromkeys(("kappa-eta", "star-optimal", "star-calibrated"), ("axes.seed=[0]",))
 
 
+@dataclass(frozen=True, eq=False)
+class RunStep:
+    """An experiment that is finished: its plan, what its run left, and its pictures."""
+
+    plan: Plan
+    result: RunResult
+    pictures: list[Path]
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementStep:
+    """A measurement that is processed: its name, what came of it, and its files."""
+
+    name: str
+    done: Processed
+    files: list[Path]
+
+
 def reproduce(
-    experiments: Path, folder: Path, out: Console, errors: Console, *, cluster: Cluster, quick: bool = False
-) -> int:
-    """Run the experiments, the checks, and build the report from what they stored.
+    experiments: Path | None, folder: Path, *, cluster: Cluster, quick: bool = False
+) -> Iterator[RunStep | MeasurementStep | Path]:
+    """Run the experiments, the checks, and build the report from what they stored; yield each when it is finished.
 
     Parameters
     ----------
     experiments
-        Folder with the experiment files.
+        Folder with the experiment files; None for those of this package.
     folder
         Folder of the results; one sub-folder an experiment.
-    out, errors
-        Where to print.
     cluster
         What runs the cases.
     quick
         One noise seed, and no sensitivity study.
 
-    Returns
-    -------
-    int
-        Exit code: 1 where a case failed, else 0.
+    Yields
+    ------
+    RunStep, MeasurementStep or Path
+        What is finished; last the report's file.
 
     Raises
     ------
@@ -63,34 +80,44 @@ def reproduce(
         An experiment file is missing; nothing has run by then.
     """
     names = [name for name in EXPERIMENTS if not (quick and name in QUICK_SKIPS)]
-    for name in (*names, *MEASURED):
-        if not (experiments / f"{name}.toml").is_file():
-            raise DataError(f"{experiments / name}.toml: no such experiment file; run this in a checkout, or name the "
-                            f"folder with --experiments")  # fmt: skip
+    files = {name: _file(experiments, name) for name in (*names, *MEASURED)}
     seconds: dict[str, float] = {}
-    worst = 0
     for name in names:
         began = time.perf_counter()
-        plan = _plan(experiments, folder, name, QUICK_OVERRIDES.get(name, ()) if quick else ())
-        worst = max(worst, execute(plan, folder / name, out, errors, cluster=cluster))
+        settings = load_experiment(files[name], QUICK_OVERRIDES.get(name, ()) if quick else ())
+        plan = expand(settings, folder / name, None)
+        result = run_plan(plan, folder / name, cluster=cluster)
+        pictures = draw_run(plan, result.table, folder / name)
         if name == "examples":
-            draw_examples(plan, folder / name)
+            pictures += draw_examples(plan, folder / name)
         seconds[name] = time.perf_counter() - began
+        yield RunStep(plan, result, pictures)
     for name in MEASURED:
         began = time.perf_counter()
-        run_process(experiments / f"{name}.toml", folder / name, (), out)
+        chosen = load_process(files[name])
+        done = process(chosen, make_folder(folder / name))
+        written = write_processed(done, chosen, folder / name)
         seconds[name] = time.perf_counter() - began
+        yield MeasurementStep(chosen.name, done, written)
     began = time.perf_counter()
-    star = Scene.load(experiments.parent / "scenes" / "star.toml")
-    _write(folder / "checks.json", {"c15": measure_cost(), "c16": measure_phase(simulate(star))})
+    checks = {"c15": measure_cost(), "c16": measure_phase(simulate(_star(experiments)))}
+    _write(folder / "checks.json", checks)
     seconds["checks"] = time.perf_counter() - began
     _write(folder / "run.json", {"quick": quick, "seconds": seconds, "total_s": sum(seconds.values())})
-    out.print(f"report:   {write_report(folder)}", markup=False)
-    return worst
+    yield write_report(folder)
 
 
-def _plan(experiments: Path, folder: Path, name: str, overrides: Sequence[str]) -> Plan:
-    return expand(load_experiment(experiments / f"{name}.toml", overrides), folder / name, None)
+def _file(experiments: Path | None, name: str) -> Path:
+    """File of an experiment or measurement."""
+    file = (Path("experiments") if experiments is None else experiments) / f"{name}.toml"
+    if not file.is_file():
+        raise DataError(f"{file}: no such experiment file")
+    return file
+
+
+def _star(experiments: Path | None) -> Scene:
+    """The scene of the check of phases."""
+    return Scene.load((Path("experiments") if experiments is None else experiments).parent / "scenes" / "star.toml")
 
 
 def _write(file: Path, data: dict[str, Any]) -> None:

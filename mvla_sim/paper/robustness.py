@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -15,9 +17,10 @@ from numpy.typing import NDArray
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.plot.curves import DASHES, LINE_COLORS, MARKERS
-from mvla_sim.plot.style import DOUBLE_COLUMN_IN, figure_style, legend_columns, new_figure
+from mvla_sim.plot.style import DOUBLE_COLUMN_IN, figure_legend, figure_style, new_figure, save_figure
+from mvla_sim.sweep.plan import Plan
 
-__all__ = ["SWEPT", "plot_robustness", "robustness_curves"]
+__all__ = ["SWEPT", "draw_robustness", "plot_robustness", "robustness_curves"]
 
 BLOCK: Final = "imaging.impairments."
 COLUMNS: Final = 4
@@ -102,11 +105,29 @@ def plot_robustness(
             Line2D([], [], color=_color(number), ls=_dash(number), marker=_marker(number), label=title_of(method))
             for number, method in enumerate(methods)
         ]
-        figure.legend(handles=keys, loc="outside lower center", ncols=legend_columns(figure, keys))
+        figure_legend(figure, keys)
         figure.align_ylabels(panels[:, 0])
         if title:
             figure.suptitle(title)
     return figure
+
+
+def draw_robustness(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
+    """Draw CD and F1 against each impairment, a figure a scene, where impairments are swept."""
+    swept = [*plan.experiment.axes, *(key for variant in plan.experiment.variants for key in variant.set)]
+    if not any(key.startswith("imaging.impairments.") for key in swept):
+        return []
+    centimetres = f"{100 * max(plan.experiment.evaluation.distances_m):g}"
+    pictures: list[Path] = []
+    for scene in plan.files:
+        with contextlib.suppress(DataError):  # no case of it is finished
+            figure = plot_robustness(
+                table, scene=scene, f1=f"f1_{centimetres}cm", f1_label=f"F1 at {centimetres} cm", title=scene
+            )
+            for suffix in (".png", ".pdf"):
+                pictures.append(folder / f"{scene}-robustness{suffix}")
+                save_figure(figure, pictures[-1])
+    return pictures
 
 
 def robustness_curves(table: pd.DataFrame, *, scene: str | None = None, f1: str = "f1_10cm") -> pd.DataFrame:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.methods.registry import title_of
-from mvla_sim.plot.style import COLORS, MAPS, SINGLE_COLUMN_IN, figure_style, legend_columns, new_figure
+from mvla_sim.plot.drawing import Panel
+from mvla_sim.plot.style import COLORS, MAPS, SINGLE_COLUMN_IN, figure_legend, figure_style, new_figure
 
 __all__ = ["plot_curves"]
 
@@ -40,7 +41,8 @@ def plot_curves(
     title: str = "",
     log_x: bool = False,
     width_in: float = SINGLE_COLUMN_IN,
-) -> Figure:
+    ax: Panel | None = None,
+) -> Figure | Panel:
     """Draw one column of a tidy table against another, a line for each value of a third.
 
     Values that are infinite or NaN leave a gap.
@@ -67,6 +69,13 @@ def plot_curves(
         Draw x on a logarithmic axis, with the table's own values as ticks.
     width_in
         Width of the figure, inches.
+    ax
+        Where to draw; by default in a new figure.
+
+    Returns
+    -------
+    Figure or Axes
+        The new figure, or ``ax``.
 
     Raises
     ------
@@ -85,7 +94,7 @@ def plot_curves(
     colors = _line_colors(color_values)
     with figure_style():
         figure = new_figure(width_in, 2.6)
-        axes = figure.add_subplot()
+        axes = figure.add_subplot() if ax is None else ax
         for color, dash in sorted(set(zip(color_of.tolist(), dash_of.tolist(), strict=True))):
             rows = table[(color_of == color) & (dash_of == dash)].sort_values(x)
             place = rows[x].to_numpy(np.float64)
@@ -112,11 +121,13 @@ def plot_curves(
                 line = Line2D([], [], color="0.3", ls=DASHES[dash % len(DASHES)], marker=MARKERS[dash % len(MARKERS)])
                 line.set_label(_group_label(value, style_format))
                 handles.append(line)
-        if handles:
-            figure.legend(handles=handles, loc="outside upper center", ncols=legend_columns(figure, handles))
         if title:
             axes.set_title(title)
-    return figure
+        if handles and ax is not None:
+            ax.legend(handles=handles)
+        elif handles:
+            figure_legend(figure, handles, "upper")
+    return figure if ax is None else ax
 
 
 def _check_table(table: pd.DataFrame, keys: Sequence[str], values: Sequence[str]) -> None:

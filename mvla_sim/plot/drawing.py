@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 import shapely
@@ -20,7 +21,8 @@ from shapely.geometry.base import BaseGeometry
 from mvla_sim.errors import DataError
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
-from mvla_sim.plot.style import COLORS, MAPS, new_figure
+from mvla_sim.imaging.methods.registry import title_of
+from mvla_sim.plot.style import COLORS, MAPS, Given, new_figure
 from mvla_sim.scene.views import Views
 
 __all__ = [
@@ -38,14 +40,21 @@ __all__ = [
     "draw_support",
     "label_plane",
     "panel_grid",
+    "score_label",
     "view_count",
 ]
 
 Bits = NDArray[np.bool_]
 Handles = list[Patch | Line2D]
+Panel = TypeVar("Panel", bound=Axes)
+Panels = TypeVar("Panels", bound=Sequence[Axes])
+"""The axes that a function was given, and returns; without any it returns a new figure."""
 Edges = tuple[float, float, float, float]
 
+TARGET = "#DDDDDD"
 HIT, FALSE, MISS = COLORS["blue"], COLORS["vermilion"], "#B0B0B0"
+OVER_MAP = COLORS["sky"]
+"""Colour of a line over a map of the score, which has no blue from its darkest to its brightest."""
 SCORE_PERCENTILE = 99.8  # brighter voxels are cut off: a few crossings of arcs would leave the rest of a map dark
 WIDE_GAP = 3.0  # steps in angle above this many times the usual one stay blank
 
@@ -92,8 +101,14 @@ def label_plane(axes: Axes) -> None:
 
 
 def panel_grid(
-    width_in: float, grids: Sequence[VoxelGrid], columns: int, *, edges_in: Edges, gap_in: tuple[float, float]
-) -> tuple[Figure, list[list[Axes]]]:
+    width_in: float,
+    grids: Sequence[VoxelGrid],
+    columns: int,
+    *,
+    edges_in: Edges,
+    gap_in: tuple[float, float],
+    figure: Given | None = None,
+) -> tuple[Figure | Given, list[list[Axes]]]:
     """Make a figure of panels that keep a grid's proportions: a row for each grid, columns of equal width.
 
     Parameters
@@ -108,19 +123,21 @@ def panel_grid(
         Space left, right, below and above all panels, inches.
     gap_in
         Space between columns and between rows, inches.
+    figure
+        Where to put the panels, in these proportions, instead of a new figure.
     """
     left, right, below, above = edges_in
     width = (width_in - left - right - (columns - 1) * gap_in[0]) / columns
     heights = [width * float(np.clip(grid.counts[1] / grid.counts[0], 0.3, 2.0)) for grid in grids]
     total = below + above + sum(heights) + (len(grids) - 1) * gap_in[1]
-    figure = new_figure(width_in, total, constrained=False)
+    canvas = figure or new_figure(width_in, total, constrained=False)
     rows: list[list[Axes]] = []
     top = total - above
     for height in heights:
         row: list[Axes] = []
         for column in range(columns):
             place = (left + column * (width + gap_in[0])) / width_in, (top - height) / total
-            axes = figure.add_axes((*place, width / width_in, height / total))
+            axes = canvas.add_axes((*place, width / width_in, height / total))
             label_plane(axes)
             axes.tick_params(labelleft=column == 0)
             axes.set_xlabel("x (m)")
@@ -128,35 +145,43 @@ def panel_grid(
         row[0].set_ylabel("y (m)")
         rows.append(row)
         top -= height + gap_in[1]
-    return figure, rows
+    return canvas, rows
 
 
-def color_bar(axes: Axes, mappable: AxesImage, label: str, *, below: bool, cut_off: bool) -> None:
-    """Put a colour bar as long as the panel under it or at its right; ``cut_off`` marks values beyond its end."""
-    figure = axes.figure
-    assert isinstance(figure, Figure)
-    box = axes.get_position()
-    width, height = figure.get_size_inches() * (box.width, box.height)
-    place = (0.0, -0.52 / height, 1.0, 0.1 / height) if below else (1 + 0.06 / width, 0.0, 0.1 / width, 1.0)
-    bar = figure.colorbar(
+def color_bar(axes: Axes, mappable: AxesImage, label: str, *, below: bool, cut_off: bool, inset: bool = True) -> None:
+    """Put a colour bar as long as the panel under it or at its right; ``cut_off`` marks values beyond its end.
+
+    ``inset``: the panel keeps its place and size, for the figure has room; else matplotlib makes room for the bar.
+    """
+    place: dict[str, Any] = {"ax": axes}
+    if inset:
+        box, whole = axes.get_position(), axes.figure.bbox
+        width, height = box.width * whole.width / axes.figure.dpi, box.height * whole.height / axes.figure.dpi
+        bounds = (0.0, -0.52 / height, 1.0, 0.1 / height) if below else (1 + 0.06 / width, 0.0, 0.1 / width, 1.0)
+        place = {"cax": axes.inset_axes(bounds), "extendfrac": 0.03}
+    bar = axes.figure.colorbar(
         mappable,
-        cax=axes.inset_axes(place),
         orientation="horizontal" if below else "vertical",
         extend="max" if cut_off else "neither",
-        extendfrac=0.03,
         ticks=MaxNLocator(4, steps=[1, 2, 2.5, 3, 5, 10]),
+        **place,
     )
     bar.set_label(label)
 
 
-def draw_score(axes: Axes, image: Image, layer: int, *, bar_below: bool) -> None:
+def score_label(image: Image) -> str:
+    """What a score's axis is called."""
+    return f"score of {title_of(image.method)}"
+
+
+def draw_score(axes: Axes, image: Image, layer: int, *, bar_below: bool, inset: bool = True) -> None:
     """Draw one layer of the score from 0 to just below its maximum, with a colour bar."""
     top = float(np.percentile(image.score[layer], SCORE_PERCENTILE))
-    label = "sum of normalised profiles" if image.method == "bp" else "score s"
-    color_bar(axes, _draw_map(axes, image, image.score[layer], "score", top), label, below=bar_below, cut_off=True)
+    drawn = _draw_map(axes, image, image.score[layer], "score", top)
+    color_bar(axes, drawn, score_label(image), below=bar_below, cut_off=True, inset=inset)
 
 
-def draw_support(axes: Axes, image: Image, layer: int, *, bar_below: bool) -> None:
+def draw_support(axes: Axes, image: Image, layer: int, *, bar_below: bool, inset: bool = True) -> None:
     """Draw one layer of the angular support, with a colour bar.
 
     Raises
@@ -167,8 +192,8 @@ def draw_support(axes: Axes, image: Image, layer: int, *, bar_below: bool) -> No
     if image.support_deg is None:
         raise DataError(f"picture: an image of method {image.method} has no angular support")
     values = image.support_deg[layer]
-    mappable = _draw_map(axes, image, values, "support", float(values.max()))
-    color_bar(axes, mappable, "angular support Θ (°)", below=bar_below, cut_off=False)
+    drawn = _draw_map(axes, image, values, "support", float(values.max()))
+    color_bar(axes, drawn, "angular support Θ (°)", below=bar_below, cut_off=False, inset=inset)
 
 
 def draw_classes(

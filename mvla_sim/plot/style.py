@@ -7,12 +7,13 @@ import io
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import matplotlib as mpl
 from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from mvla_sim.errors import ConfigError
 from mvla_sim.files import atomic_output
@@ -24,8 +25,10 @@ __all__ = [
     "MAPS",
     "PNG_DPI",
     "SINGLE_COLUMN_IN",
+    "Canvas",
+    "Given",
+    "figure_legend",
     "figure_style",
-    "legend_columns",
     "new_figure",
     "png_bytes",
     "save_figure",
@@ -103,21 +106,39 @@ def figure_style() -> Iterator[None]:
         yield
 
 
+Canvas = Figure | SubFigure
+"""What panels are put into: a figure, or a part of one."""
+Given = TypeVar("Given", bound=Canvas)
+"""The one that a function was given, and returns; without any it returns a new figure."""
+
+
+class _ShownFigure(Figure):
+    """A figure that a notebook shows by itself; no window, no pyplot."""
+
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        width, height = (round(100 * inches) for inches in self.get_size_inches())  # half as many points as there are
+        return png_bytes(self), {"width": width, "height": height}
+
+
 def new_figure(width_in: float, height_in: float, *, constrained: bool = True) -> Figure:
-    """Return an empty figure of the given size in inches, with a canvas that needs no display.
+    """Return an empty figure of the given size in inches; it needs no display, and notebooks show it.
 
     ``constrained``: panels are placed when the figure is drawn, so that nothing overlaps.
     """
-    figure = Figure(figsize=(width_in, height_in), layout="constrained" if constrained else None)
+    figure = _ShownFigure(figsize=(width_in, height_in), layout="constrained" if constrained else None)
     FigureCanvasAgg(figure)
     return figure
 
 
-def legend_columns(figure: Figure, handles: Sequence[Artist]) -> int:
-    """Number of columns, at least one, of a legend of these handles that fits beside each other into a figure."""
-    longest = max(len(str(handle.get_label())) for handle in handles)
-    fitting = int(figure.get_figwidth() * 20 / (longest + 6))  # about 20 letters an inch, 6 for the line
-    return max(1, min(fitting, len(handles)))
+def figure_legend(figure: Canvas, handles: Sequence[Artist], side: str = "lower", columns: int | None = None) -> None:
+    """Put a legend below all panels of a figure, or above them (``side="upper"``); by default as wide as it fits."""
+    if columns is None:
+        longest = max(len(str(handle.get_label())) for handle in handles)
+        fitting = int(figure.bbox.width / figure.dpi * 20 / (longest + 6))  # about 20 letters an inch, 6 for the line
+        columns = max(1, min(fitting, len(handles)))
+    outside = "outside " if isinstance(figure.get_layout_engine(), ConstrainedLayoutEngine) else ""
+    place: Any = f"{outside}{side} center"
+    figure.legend(handles=list(handles), loc=place, ncols=columns)
 
 
 def png_bytes(figure: Figure) -> bytes:

@@ -14,7 +14,18 @@ from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output, existing_file
 from mvla_sim.sweep.case import MAP, Case, Row, setting_columns
 
-__all__ = ["FILE", "MAPS", "PARQUET", "RECORD", "averaged", "build_table", "load_maps", "load_table", "write_table"]
+__all__ = [
+    "AVERAGED",
+    "FILE",
+    "MAPS",
+    "PARQUET",
+    "RECORD",
+    "averaged",
+    "build_table",
+    "load_maps",
+    "load_table",
+    "write_table",
+]
 
 FILE: Final = "table.csv"
 PARQUET: Final = "table.parquet"
@@ -119,6 +130,10 @@ def load_table(folder: str | os.PathLike[str]) -> pd.DataFrame:
     for name in set(TEXT) & set(table.columns):
         table[name] = table[name].fillna("")
     return table
+
+
+AVERAGED: Final = ("offset", "seed")
+"""Axes that results are averaged over where they are shown."""
 
 
 def averaged(table: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:

@@ -16,9 +16,10 @@ import h5py
 import numpy as np
 import pytest
 import trimesh
+import typer
 
-from mvla_sim.cli.listing import settings_of
-from mvla_sim.imaging.imaging_settings import ImagingSettings
+from mvla_sim.cli.app import app, run
+from mvla_sim.imaging.imaging_settings import METHOD_NAMES
 
 SCENE = """
 name = "small"
@@ -67,23 +68,38 @@ def work(tmp_path_factory):
     return folder
 
 
-def test_every_command_has_help(tmp_path):
-    for command in (
-        [],
-        ["simulate"],
-        ["image"],
-        ["evaluate"],
-        ["plot"],
-        ["run"],
-        ["scene"],
-        ["scene", "show"],
-        ["scene", "export"],
-        ["doctor"],
-    ):
-        text = mvla(*command, "--help", folder=tmp_path)
-        assert "Usage" in text
+def commands(group, *path):
+    """Every command and group of commands that the program has."""
+    yield path
+    for name, command in getattr(group, "commands", {}).items():
+        yield from commands(command, *path, name)
+
+
+COMMANDS = [*commands(typer.main.get_command(app))]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_every_command_has_help(capsys, command):
+    """In words, and an option or argument each explained."""
+    assert run([*command, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert "Usage: mvla " + " ".join(command) in text
+
+
+def test_there_are_as_many_commands_as_ever():
+    assert len(COMMANDS) >= 23  # 20 commands, the program, and two groups
+
+
+def test_version_and_help_leave_nothing_behind(tmp_path):
     assert re.fullmatch(r"mvla-sim \d+\.\d+\.\d+\n", mvla("--version", folder=tmp_path))
+    mvla("--help", folder=tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_help_names_every_method(capsys):
+    run(["image", "--help"])
+    text = re.sub(r"\W+", "", capsys.readouterr().out)
+    assert [name for name in METHOD_NAMES if name.replace("-", "") not in text] == []
 
 
 def test_help_imports_nothing_heavy(tmp_path):
@@ -355,15 +371,3 @@ def test_a_part_of_the_target_can_be_looked_at(work):
     mvla("image", "cir.nc", *zoom, "-o", "zoom.nc", folder=work)
     mvla("plot", "zoom.nc", "-o", "zoom.png", folder=work)
     assert (work / "zoom.png").stat().st_size > 1000
-
-
-def test_settings_lists_what_can_be_set(tmp_path):
-    """Each key it names is accepted by ``--set``: the list is read from the models, not written beside them."""
-    listed = settings_of()
-    assert "noise.snr_db" in mvla("settings", folder=tmp_path)
-    for key, default, _ in listed["imaging"]:
-        node = ImagingSettings.model_validate({"threshold": {}})
-        for name in key.split("."):
-            node = getattr(node, name)
-        if key != "threshold" and not isinstance(node, tuple):
-            assert default in ("none", str(node), str(node).lower())

@@ -22,7 +22,7 @@ from mvla_sim.dataset.card import shown_samples
 from mvla_sim.dataset.sample import draw_sample
 from mvla_sim.dataset.verify import unmatched_share, verify
 from mvla_sim.errors import DataError
-from mvla_sim.plot.samples import plot_samples
+from mvla_sim.plot.scene_figures import plot_samples
 from mvla_sim.scene.world import Scene
 
 SMALL = ("samples=2", "samples_per_shard=1", "split.train=0.5", "split.validation=0.0", "split.test=0.5",

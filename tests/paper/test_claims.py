@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mvla_sim.paper.claims import PAPER_THRESHOLDS, Tables, claims_table, judge, thresholds_table
+from mvla_sim.paper.claims import PAPER_THRESHOLDS, ResultTables, claims_table, judge, thresholds_table
 
 INTERVALS = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 SNRS = (0.0, 5.0, 10.0, 15.0, 20.0)
@@ -46,7 +46,7 @@ def map_of(best):
 
 
 def verdicts(**tables):
-    return {claim.number: claim.verdict for claim in judge(Tables(**tables))}
+    return {claim.number: claim.verdict for claim in judge(ResultTables(**tables))}
 
 
 VEHICLE = {
@@ -116,7 +116,7 @@ def test_distances_that_are_not_finite_are_left_out_and_counted():
     table = GOOD["star_optimal"].copy()
     table.loc[[0, 7], "cd_db"] = np.nan
     table.loc[11, "cd_db"] = -np.inf
-    claim = next(c for c in judge(Tables(star_optimal=table)) if c.number == "C3")
+    claim = next(c for c in judge(ResultTables(star_optimal=table)) if c.number == "C3")
     assert claim.verdict == "holds"
     assert claim.detail == "3 of 120 cases without a finite CD were left out (2 empty, 1 identical sets)"
 
@@ -139,20 +139,20 @@ def test_thresholds_average_within_an_interval_first():
 
 
 def test_table_of_claims_has_a_row_each():
-    table = claims_table(judge(Tables(**GOOD)))
+    table = claims_table(judge(ResultTables(**GOOD)))
     assert len(table) == 16
     assert {"number", "text", "rule", "figure", "measured", "verdict", "detail"} == set(table.columns)
 
 
 def test_a_table_without_what_a_claim_is_about_leaves_it_open():
     table = GOOD["star_optimal"]
-    claim = next(c for c in judge(Tables(star_optimal=table[table["interval_deg"] != 5.0])) if c.number == "C13")
+    claim = next(c for c in judge(ResultTables(star_optimal=table[table["interval_deg"] != 5.0])) if c.number == "C13")
     assert claim.verdict == "not tested"
     assert "5°" in claim.detail
 
 
 def only(number, **tables):
-    return next(claim for claim in judge(Tables(**tables)) if claim.number == number)
+    return next(claim for claim in judge(ResultTables(**tables)) if claim.number == number)
 
 
 @pytest.mark.parametrize("lost", [np.nan, -np.inf])

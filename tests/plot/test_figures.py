@@ -24,8 +24,10 @@ from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.plot.curves import plot_curves
 from mvla_sim.plot.drawing import FALSE, HIT, MISS, angle_axis, angle_cells
-from mvla_sim.plot.figures import plot_comparison, plot_image, plot_scene, plot_waterfall
+from mvla_sim.plot.image_figures import plot_comparison, plot_image, score_caption
+from mvla_sim.plot.scene_figures import plot_scene
 from mvla_sim.plot.style import PNG_DPI, save_figure
+from mvla_sim.plot.waterfall import plot_waterfall
 from mvla_sim.scene.views import Views
 from mvla_sim.scene.world import Scene
 
@@ -84,7 +86,12 @@ def comparison(title="Comparison"):
     images = [make_image(grid), make_image(grid, support=False, method="bp", scale=30)]
     truth, occupied = make_masks(grid)
     return plot_comparison(
-        images, [truth, None], [occupied, occupied], ["MVLA-GR", "BP"], cd_db=[-20.31, np.nan], title=title
+        images,
+        [truth, None],
+        [occupied, occupied],
+        ["MVLA-GR", "BP"],
+        title=title,
+        captions=[score_caption(-20.31, "optimal"), score_caption(np.nan, "auto")],
     )
 
 
@@ -376,7 +383,9 @@ def test_comparison_writes_the_distances_and_says_what_is_missing():
     grid = make_grid()
     images = [make_image(grid), make_image(grid, support=False, method="bp"), make_image(grid)]
     masks = [make_masks(grid)[0]] * 3
-    figure = plot_comparison(images, masks, masks, ["a", "b", "c"], cd_db=[-20.34, np.nan, -np.inf])
+    figure = plot_comparison(
+        images, masks, masks, ["a", "b", "c"], captions=[*map(score_caption, (-20.34, np.nan, -np.inf))]
+    )
     texts = {text.get_text() for text in figure.findobj(Text)}
     assert {"a", "b", "c", "CD = −20.3 dB(m²)", "CD undefined", "CD = −∞ dB(m²)", "no angular support"} <= texts
     without = plot_comparison(images[1:2], masks[:1], masks[:1], ["b"])
@@ -387,8 +396,8 @@ def test_comparison_refuses_lists_of_different_lengths():
     image, (truth, occupied) = make_image(make_grid()), make_masks(make_grid())
     with pytest.raises(DataError, match="1 images, 2 truths"):
         plot_comparison([image], [truth, truth], [occupied], ["a"])
-    with pytest.raises(DataError, match="0 distances"):
-        plot_comparison([image], [truth], [occupied], ["a"], cd_db=[])
+    with pytest.raises(DataError, match="0 captions"):
+        plot_comparison([image], [truth], [occupied], ["a"], captions=[])
     with pytest.raises(DataError, match="at least 1"):
         plot_comparison([], [], [], [])
 

@@ -90,7 +90,7 @@ def test_the_style_is_gone_after_the_block():
 
 def test_import_touches_no_global_state():
     code = (
-        "import matplotlib as m; before = dict(m.rcParams); import sys, mvla_sim.plot.figures;"
+        "import matplotlib as m; before = dict(m.rcParams); import sys, mvla_sim.plot.image_figures;"
         "assert 'matplotlib.pyplot' not in sys.modules; assert dict(m.rcParams) == before"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

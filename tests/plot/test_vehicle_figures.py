@@ -21,8 +21,9 @@ from mvla_sim.evaluation.boxes import Box, bounding_box
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.volumes import exposed_faces
-from mvla_sim.plot.measured_figures import VIEW_DEG, plot_measured, plot_volume
+from mvla_sim.plot.image_figures import plot_measured
 from mvla_sim.plot.style import DOUBLE_COLUMN_IN, PNG_DPI, save_figure
+from mvla_sim.plot.volume_figure import VIEW_DEG, plot_volume
 
 CAR = shapely.box(-2.1, -0.9, 2.1, 0.9)
 PLANE = VoxelGrid((0.0, 0.0, 0.9), (30, 20, 1), 0.25)

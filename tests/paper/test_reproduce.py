@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mvla_sim.measured.process_settings import load_process
+from mvla_sim.measured.process import load_process
 from mvla_sim.paper.reproduce import EXPERIMENTS, MEASURED, QUICK_OVERRIDES, QUICK_SKIPS
 from mvla_sim.scene.world import Scene
 from mvla_sim.sweep.experiment import load_experiment

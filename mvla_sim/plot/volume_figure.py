@@ -1,9 +1,8 @@
-"""Pictures of a measured vehicle: score and binary result in the plane, and of a volume from every side."""
+"""Images in three dimensions, from every side."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import shapely
@@ -14,37 +13,30 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D, proj3d  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from mvla_sim.evaluation.boxes import Box
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.volumes import exposed_faces
 from mvla_sim.plot.drawing import (
-    HIT,
+    OVER_MAP,
     SCORE_PERCENTILE,
     Bits,
     check_image,
     color_bar,
-    draw_classes,
-    draw_outline,
-    draw_score,
     label_plane,
-    panel_grid,
+    score_label,
 )
-from mvla_sim.plot.style import COLORS, DOUBLE_COLUMN_IN, MAPS, figure_style, new_figure
+from mvla_sim.plot.style import DOUBLE_COLUMN_IN, MAPS, Given, figure_style, new_figure
 
-__all__ = ["plot_measured", "plot_volume"]
+__all__ = ["plot_volume"]
 
 Floats = NDArray[np.float64]
 
-OVER_MAP = COLORS["sky"]
-"""Colour of a line over a map of the score, which has no blue from its darkest to its brightest."""
 EDGE = "#8A8A8A"
 """Pale, yet seen over dark faces and over bright ones."""
 PROJECTIONS = (("Top", 2, 0, 1), ("Side", 1, 0, 2), ("Front", 0, 1, 2))
@@ -62,66 +54,14 @@ HIGHEST_PANEL_IN, LOWEST_PANEL_IN, VIEW_IN = 2.3, 0.5, 3.4
 """Heights: most and least of a projection, and of the three-dimensional view, inches."""
 
 
-def plot_measured(
-    image: Image, occupied: Bits, outline: BaseGeometry | None, box: Box | None = None, title: str = ""
-) -> Figure:
-    """Draw a measured image as two panels: (a) the continuous support map, (b) the binary result.
-
-    Several layers are seen from above: the largest score, and whether any voxel is occupied.
-
-    Parameters
-    ----------
-    image
-        The image. Its own outline is not drawn.
-    occupied
-        Binary image ``[nz, ny, nx]``.
-    outline
-        What the target looks like from above, x and y in metres, drawn as a thin line over both panels; None where it
-        is not known.
-    box
-        The binary result's bounding box, drawn dashed, with its length and width in the legend.
-    title
-        Title of the figure.
-
-    Raises
-    ------
-    DataError
-        ``occupied`` is not of the grid's shape.
-    """
-    check_image(image, None, occupied, None)
-    flat = _from_above(image)
-    low, high = flat.grid.bounds_m()
-    with figure_style():
-        above = 0.45 if title else 0.25
-        figure, ((left, right),) = panel_grid(
-            DOUBLE_COLUMN_IN, [flat.grid], 2, edges_in=(0.42, 0.12, 0.62, above), gap_in=(0.75, 0.0)
-        )
-        draw_score(left, flat, 0, bar_below=False)
-        left.set_title("(a) Continuous support map (score)")
-        draw_classes(right, [(np.asarray(np.any(occupied, axis=0, keepdims=True)), HIT)], flat.grid, 0)
-        right.set_title("(b) Binary result")
-        handles: list[Patch | Line2D] = [Patch(color=HIT, label="retained")]
-        if outline is not None:
-            for axes, color in ((left, OVER_MAP), (right, "black")):
-                draw_outline(axes, outline, width_pt=0.7)
-                for patch in axes.patches:
-                    patch.set_edgecolor(color)
-            handles.append(Line2D([], [], color="black", linewidth=0.7, label="outline, in (a) blue"))
-        if box is not None:
-            color = COLORS["vermilion"]
-            right.add_patch(Polygon(box.corners_m, fill=False, edgecolor=color, linestyle="--", linewidth=0.9))
-            size = f"bounding box, {box.length_m:.2f} m × {box.width_m:.2f} m"
-            handles.append(Line2D([], [], color=color, linestyle="--", linewidth=0.9, label=size))
-        for axes in (left, right):
-            axes.set_xlim(low[0], high[0])
-            axes.set_ylim(low[1], high[1])
-        figure.legend(handles=handles, loc="lower center", ncols=3)
-        if title:
-            figure.suptitle(title, y=1 - 0.06 / figure.get_figheight(), va="top")
-    return figure
-
-
-def plot_volume(image: Image, occupied: Bits, meshes: Sequence[trimesh.Trimesh] = (), title: str = "") -> Figure:
+def plot_volume(
+    image: Image,
+    occupied: Bits,
+    meshes: Sequence[trimesh.Trimesh] = (),
+    title: str = "",
+    *,
+    figure: Given | None = None,
+) -> Figure | Given:
     """Draw a three-dimensional image: the largest score seen from three sides, and the occupied voxels' surface.
 
     Parameters
@@ -134,6 +74,13 @@ def plot_volume(image: Image, occupied: Bits, meshes: Sequence[trimesh.Trimesh] 
         What is really there, in metres: silhouettes over the projections, edges over the surface.
     title
         Title of the figure.
+    figure
+        An empty figure, or part of one, to draw into; by default a new one.
+
+    Returns
+    -------
+    Figure
+        What was drawn into.
 
     Raises
     ------
@@ -144,7 +91,7 @@ def plot_volume(image: Image, occupied: Bits, meshes: Sequence[trimesh.Trimesh] 
     maps = {name: image.score.max(axis=2 - along) for name, along, _, _ in PROJECTIONS}
     top = float(np.percentile(np.concatenate([values.ravel() for values in maps.values()]), SCORE_PERCENTILE))
     with figure_style():
-        figure, panels, view = _volume_panels(image.grid, title)
+        canvas, panels, view = _volume_panels(image.grid, title, figure)
         low, high = image.grid.bounds_m()
         for axes, (name, along, right, up) in zip(panels, PROJECTIONS, strict=True):
             drawn: AxesImage = axes.imshow(
@@ -160,28 +107,20 @@ def plot_volume(image: Image, occupied: Bits, meshes: Sequence[trimesh.Trimesh] 
                 rings = _rings(_silhouette(mesh, right, up))
                 axes.add_collection(LineCollection(rings, colors=OVER_MAP, linewidths=0.7), autolim=False)
             axes.set_title(f"{name}, along {AXIS_NAMES[along]}")
-        label = "largest sum of profiles" if image.method == "bp" else "largest score s"
-        color_bar(panels[-1], drawn, label, below=False, cut_off=True)
+        color_bar(panels[-1], drawn, f"largest {score_label(image)}", below=False, cut_off=True)
         _draw_view(view, image.grid, occupied, meshes)
         if meshes:
             handles = [
                 Line2D([], [], color=OVER_MAP, linewidth=0.8, label="mesh, its silhouette"),
                 Line2D([], [], color=EDGE, linewidth=0.6, label="mesh, its edges"),
             ]
-            figure.legend(handles=handles, loc="lower left", ncols=1)
+            canvas.legend(handles=handles, loc="lower left", ncols=1)
         if title:
-            figure.suptitle(title, y=1 - 0.06 / figure.get_figheight(), va="top")
-    return figure
+            canvas.suptitle(title, y=1 - 0.06 * canvas.dpi / canvas.bbox.height, va="top")
+    return canvas
 
 
-def _from_above(image: Image) -> Image:
-    """One layer with the largest score of each column; the angular support is left out."""
-    grid = replace(image.grid, counts=(*image.grid.counts[:2], 1))
-    score = image.score.max(axis=0, keepdims=True)
-    return replace(image, score=score, grid=grid, support_deg=None, occupied=None)
-
-
-def _volume_panels(grid: VoxelGrid, title: str) -> tuple[Figure, list[Axes], Axes3D]:
+def _volume_panels(grid: VoxelGrid, title: str, figure: Given | None) -> tuple[Figure | Given, list[Axes], Axes3D]:
     """Three panels in a row on one scale, standing on one line, and the three-dimensional view under them."""
     left, end, below, gap, above = 0.5, 0.6, 0.35, 0.52, 0.45 if title else 0.25
     size = grid.spacing_m * np.array(grid.counts)
@@ -193,11 +132,11 @@ def _volume_panels(grid: VoxelGrid, title: str) -> tuple[Figure, list[Axes], Axe
     widths *= min(1.0, room / widths.sum())
     left += (room - widths.sum()) / 2  # in the middle
     total = VIEW_IN + below + heights.max() + above
-    figure = new_figure(DOUBLE_COLUMN_IN, total, constrained=False)
+    canvas = figure or new_figure(DOUBLE_COLUMN_IN, total, constrained=False)
     panels, x = [], left
     for (_, _, horizontal, vertical), width, height in zip(PROJECTIONS, widths, heights, strict=True):
         place = x / DOUBLE_COLUMN_IN, (VIEW_IN + below) / total, width / DOUBLE_COLUMN_IN, height / total
-        axes = figure.add_axes(place)
+        axes = canvas.add_axes(place)
         label_plane(axes)
         for axis, length in ((axes.xaxis, width), (axes.yaxis, height)):
             count = int(np.clip(length / 0.3, 1, 5))
@@ -206,9 +145,9 @@ def _volume_panels(grid: VoxelGrid, title: str) -> tuple[Figure, list[Axes], Axe
         axes.set_ylabel(f"{AXIS_NAMES[vertical]} (m)")
         panels.append(axes)
         x += width + gap
-    view = figure.add_axes((0, 0, 1, (VIEW_IN - 0.3) / total), projection="3d", computed_zorder=False)
+    view = canvas.add_axes((0, 0, 1, (VIEW_IN - 0.3) / total), projection="3d", computed_zorder=False)
     assert isinstance(view, Axes3D)
-    return figure, panels, view
+    return canvas, panels, view
 
 
 def _draw_view(axes: Axes3D, grid: VoxelGrid, occupied: Bits, meshes: Sequence[trimesh.Trimesh]) -> None:
@@ -250,13 +189,11 @@ def _draw_view(axes: Axes3D, grid: VoxelGrid, occupied: Bits, meshes: Sequence[t
 
 def _fill(axes: Axes3D, low: Floats, high: Floats) -> Floats:
     """Magnify the box from ``low`` to ``high`` as far as its labels leave room; its sides as drawn, ``[3]`` inches."""
-    figure = axes.figure
-    assert isinstance(figure, Figure)
     axes.set_box_aspect(high - low)
     axes.apply_aspect()
     corners = [(low, high)[k][axis] for axis in range(3) for k in np.arange(8) >> axis & 1]
     x, y, _ = proj3d.proj_transform(*np.reshape(corners, (3, 8)), axes.get_proj())
-    places = axes.transData.transform(np.stack([x, y], axis=-1)) / figure.dpi  # [8, 2] inches
+    places = axes.transData.transform(np.stack([x, y], axis=-1)) / axes.figure.dpi  # [8, 2] inches
     room = np.array([DOUBLE_COLUMN_IN - 1.4, VIEW_IN - 0.8])
     zoom = float((room / np.ptp(places, axis=0)).min())
     axes.set_box_aspect(high - low, zoom=zoom)

@@ -1,4 +1,4 @@
-"""``mvla bench``: how the cost of every stage grows, and what a large campaign would take."""
+"""Files of ``mvla bench``: all that was measured as JSON and CSV, and a page of tables with the estimate."""
 
 from __future__ import annotations
 
@@ -8,67 +8,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from rich.console import Console
-from rich.table import Table
-
 from mvla_sim.bench.cost_tables import axis_tables, cost_lines, estimate_lines, frame, markdown
-from mvla_sim.bench.estimate import Campaign, Costs, Estimate, costs_from, estimate
+from mvla_sim.bench.estimate import Costs, Estimate
 from mvla_sim.bench.measure import ALONE
-from mvla_sim.bench.stages import STAGES, Row, measure_stages, series_of
+from mvla_sim.bench.stages import Row
 from mvla_sim.engine.machine import core_count, cpu_name
 from mvla_sim.engine.provenance import provenance
-from mvla_sim.errors import OutputError
-from mvla_sim.files import atomic_output, check_writable
-from mvla_sim.interrupt import interruptible
+from mvla_sim.files import atomic_output
 
-__all__ = ["bench", "write_bench"]
+__all__ = ["FILES", "disturbed_note", "write_bench"]
 
 FILES: Final = ("bench.json", "bench.csv", "bench.md")
-
-
-def bench(
-    folder: Path, out: Console, errors: Console, *, quick: bool, stages: Sequence[str] = (), campaign: Campaign
-) -> None:
-    """Measure stages, print tables, and write ``bench.json``, ``bench.csv`` and ``bench.md`` into a folder.
-
-    Parameters
-    ----------
-    folder
-        Made where it is missing.
-    out, errors
-        Where results and notes go.
-    quick
-        Few and small points.
-    stages
-        Some of them; none means all. The estimate needs all.
-    campaign
-        What the estimate is for.
-
-    Raises
-    ------
-    ConfigError, OutputError, RuntimeUnfitError
-        One line; nothing is left half-written.
-    """
-    chosen = [stage for stage in STAGES if stage in stages] if stages else list(STAGES)
-    for stage in stages:
-        series_of(stage)
-    with interruptible():
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"-o {folder}: cannot be made ({error.strerror})") from error
-        for name in FILES:
-            check_writable(folder / name)
-        out.print(f"{cpu_name()}, {core_count()} cores; every point in a process of its own", markup=False)
-        rows = measure_stages(chosen, quick=quick)
-        costs = costs_from(rows) if chosen == list(STAGES) else None
-        found = None if costs is None else estimate(costs, campaign)
-        _show(rows, costs, found, out)
-        for file in write_bench(folder, rows, costs, found, quick=quick):
-            out.print(f"wrote: {file}", markup=False)
-    disturbed = sum(row.disturbed for row in rows)
-    if disturbed:
-        errors.print(f"mvla: note: {_disturbed(disturbed, len(rows))}", markup=False)
 
 
 def write_bench(
@@ -123,7 +73,7 @@ def _page(rows: Sequence[Row], costs: Costs | None, found: Estimate | None, *, q
     ]
     disturbed = sum(row.disturbed for row in rows)
     if disturbed:
-        text.append(f"\\* {_disturbed(disturbed, len(rows))}\n")
+        text.append(f"\\* {disturbed_note(disturbed, len(rows))}\n")
     text += [markdown(table) for table in axis_tables(rows)]
     if costs is not None:
         text += ["## Beside the tables\n", *(f"- {line}" for line in cost_lines(costs)), ""]
@@ -133,28 +83,9 @@ def _page(rows: Sequence[Row], costs: Costs | None, found: Estimate | None, *, q
     return "\n".join(text)
 
 
-def _disturbed(count: int, total: int) -> str:
+def disturbed_note(count: int, total: int) -> str:
+    """What it means that a core was not this program's alone at some of the points."""
     return (
         f"at {count} of {total} points a core worked less than {100 * ALONE:.0f} % of the time on the clock: other "
         "programs were running, which slows caches and memory as well; laws and rates use the time of a core"
     )
-
-
-def _show(rows: Sequence[Row], costs: Costs | None, found: Estimate | None, out: Console) -> None:
-    for one in axis_tables(rows):
-        table = Table(*one.header, title=one.title, title_justify="left", caption=one.law or None)
-        for column in table.columns:
-            column.justify = "right"
-        for cells in one.lines:
-            table.add_row(*cells)
-        out.print(table)
-    for line in [] if costs is None else cost_lines(costs):
-        out.print(line, markup=False)
-    if found is not None:
-        first, *others = estimate_lines(found)
-        out.print(f"\n{first}", markup=False)
-        for line in others:
-            out.print(f"  {line}", markup=False)
-        out.print("assumed:", markup=False)
-        for line in found.assumptions:
-            out.print(f"  {line}", markup=False)

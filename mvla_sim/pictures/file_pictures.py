@@ -10,20 +10,25 @@ from numpy.typing import NDArray
 
 from mvla_sim.channel.loading import CHANNEL_SCHEMAS, Channel, load_channel
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.evaluation.evaluate import evaluate
+from mvla_sim.evaluation.evaluate import evaluate, ground_truth
 from mvla_sim.evaluation.ground_truth import rasterize
+from mvla_sim.evaluation.metrics import score
 from mvla_sim.files import existing_file
 from mvla_sim.grid import GridSettings, VoxelGrid
 from mvla_sim.imaging.image import SCHEMA as IMAGE_SCHEMA
 from mvla_sim.imaging.image import Image
-from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
+from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings, imaging_settings
+from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.imaging.pipeline import chosen_views, front_end, impaired
 from mvla_sim.netcdf import schema_of
-from mvla_sim.plot.figures import plot_comparison, plot_image, plot_scene, plot_waterfall
+from mvla_sim.plot.drawing import view_count
+from mvla_sim.plot.image_figures import plot_comparison, plot_image, score_caption
+from mvla_sim.plot.scene_figures import plot_scene
 from mvla_sim.plot.style import save_figure
+from mvla_sim.plot.waterfall import plot_waterfall
 from mvla_sim.scene.world import Scene
 
-__all__ = ["draw", "draw_scene", "draw_waterfall"]
+__all__ = ["draw", "draw_scene", "draw_waterfall", "truth_of"]
 
 
 def draw(files: Sequence[Path], output: Path, overrides: Sequence[str]) -> None:
@@ -51,26 +56,38 @@ def draw(files: Sequence[Path], output: Path, overrides: Sequence[str]) -> None:
 
 
 def draw_images(files: Sequence[Path], output: Path) -> None:
-    """Draw images with the reconstruction at their own thresholds, or else at the optimal ones."""
+    """Draw images with the binary image inside them, or else with the best one, and say whose thresholds those are."""
     images = [Image.load(file) for file in files]
-    if any(image.outline is None for image in images):
-        if len(images) > 1:
-            raise DataError(f"{files[0]}: images without an outline are drawn one at a time")
-        save_figure(plot_image(images[0], occupied=images[0].occupied), output)
-        return
     try:
-        results = [evaluate(image) for image in images]
+        shown = [_binary(image) for image in images if image.outline is not None]
     except DataError:  # the outline reaches out of the grid: a part of the target can be looked at, not scored
         if len(images) > 1:
             raise
-        save_figure(plot_image(images[0], occupied=images[0].occupied), output)
+        shown = []
+    if len(shown) < len(images):
+        if len(images) > 1:
+            raise DataError(f"{files[0]}: images without an outline are drawn one at a time")
+        save_figure(plot_image(images[0]), output)
         return
-    masks = [r.occupied if i.occupied is None else i.occupied for i, r in zip(images, results, strict=True)]
+    truths, masks, captions = zip(*shown, strict=True)
+    names = [f"{title_of(image.method)}, {view_count(image.n_view)}" for image in images]
     if len(images) == 1:
-        save_figure(plot_image(images[0], results[0].truth, masks[0]), output)
-        return
-    labels = [f"{i.method}, {i.n_view} views: {r.cd_db:.1f} dB" for i, r in zip(images, results, strict=True)]
-    save_figure(plot_comparison(images, [r.truth for r in results], masks, labels), output)
+        title = f"{names[0]}: {captions[0]}".replace("\n", ", ")
+        save_figure(plot_image(images[0], truths[0], masks[0], title), output)
+    else:
+        save_figure(plot_comparison(images, truths, masks, names, captions=captions), output)
+
+
+def _binary(image: Image) -> tuple[NDArray[np.bool_], NDArray[np.bool_], str]:
+    """Truth, binary image, and the distance between those two with whose thresholds made it."""
+    if image.occupied is None:
+        found = evaluate(image)
+        return found.truth, found.occupied, score_caption(found.cd_db, found.protocol)
+    truth = ground_truth(image, EvaluationSettings())
+    imaging = image.config.get("imaging")
+    rule = imaging.get("threshold") if isinstance(imaging, dict) else None
+    name = rule.get("rule", "given") if isinstance(rule, dict) else rule or "given"
+    return truth, image.occupied, score_caption(score(truth, image.occupied, image.grid).cd_db, str(name))
 
 
 def draw_waterfall(channel: Channel, output: Path, settings: ImagingSettings) -> None:
@@ -90,7 +107,7 @@ def draw_waterfall(channel: Channel, output: Path, settings: ImagingSettings) ->
     save_figure(plot_waterfall(front.pdp, channel.views.select(chosen), front.peaks), output)
 
 
-def draw_scene(scene_file: Path, output: Path, overrides: Sequence[str]) -> None:
+def draw_scene(scene_file: str | Path, output: Path, overrides: Sequence[str]) -> None:
     """Draw a scene with the ground truth on the default grid, centred on the target."""
     scene = Scene.load(scene_file, overrides)
     save_figure(plot_scene(scene, *truth_of(scene, GridSettings())), output)

@@ -1,0 +1,175 @@
+"""``mvla run``, ``reproduce`` and ``report``: experiments, and the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+from rich.table import Table
+
+from mvla_sim.cli.options import CacheUrl, Overrides, Scheduler, Workers, note, say, show, wrote
+
+if TYPE_CHECKING:
+    from mvla_sim.sweep.plan import Plan
+    from mvla_sim.sweep.run import RunResult
+    from mvla_sim.sweep.survey import Survey
+
+__all__ = ["sweep_app"]
+
+sweep_app = typer.Typer()
+
+MOST_ROWS: Final = 40
+"""Longer tables are not printed."""
+FIRST_ERRORS: Final = 3
+HEADS: Final = {"cd_db": "CD dB(m²)", "top_percent": "p %", "min_support_deg": "T_θ °", "f1_10cm": "F1 10 cm"}
+
+ResultsFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder of the results.")]
+
+
+@sweep_app.command()
+def run(
+    experiment: Annotated[
+        str, typer.Argument(help="An experiment file (TOML), or the name of one that comes along: star-optimal.")
+    ],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder; default results/NAME.")] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Show what would run, and about how long, and stop.")
+    ] = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    cache_url: CacheUrl = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Run even very many cases.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Discard the cases stored in the folder.")] = False,
+    overrides: Overrides = None,
+) -> None:
+    """Run the cases of an experiment that are not stored yet; write its table and pictures.
+
+    Every finished case is stored at once, so a run can be stopped at any time and goes on when it is started again.
+    Tables are written as CSV and as Parquet.
+    """
+    from mvla_sim.cluster.opening import open_cluster
+    from mvla_sim.engine.cache import shared_cache
+    from mvla_sim.engine.machine import core_count
+    from mvla_sim.paper.ablation import draw_ablation
+    from mvla_sim.paper.robustness import draw_robustness
+    from mvla_sim.pictures.run_pictures import draw_run
+    from mvla_sim.sweep.experiment import load_experiment
+    from mvla_sim.sweep.plan import CASE_LIMIT, expand
+    from mvla_sim.sweep.run import run_plan
+    from mvla_sim.sweep.survey import survey
+
+    settings = load_experiment(experiment, overrides or [])
+    folder = output or Path("results") / settings.name
+    plan = expand(settings, folder, None if yes else CASE_LIMIT)
+    if dry_run:
+        count = core_count() if workers is None else max(1, workers)
+        _show_survey(plan, survey(plan, folder, count), count)
+        return
+    with shared_cache(cache_url), open_cluster(workers, scheduler, note) as cluster:
+        result = run_plan(plan, folder, cluster=cluster, fresh=fresh)
+        drawn = (draw(plan, result.table, folder) for draw in (draw_run, draw_robustness, draw_ablation))
+        pictures = [file for files in drawn for file in files]
+    raise typer.Exit(_show_run(plan, result, pictures))
+
+
+@sweep_app.command()
+def reproduce(
+    output: ResultsFolder = Path("results"),
+    experiments: Annotated[
+        Path | None, typer.Option(help="Folder with the experiment files; by default those that come along.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="One noise seed, no sensitivity study.")] = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    cache_url: CacheUrl = None,
+) -> None:
+    """Run every experiment of the paper that is not stored yet, judge its claims, and write the report."""
+    from mvla_sim.cli.measured_commands import show_processed
+    from mvla_sim.cluster.opening import open_cluster
+    from mvla_sim.engine.cache import shared_cache
+    from mvla_sim.paper.reproduce import MeasurementStep, RunStep
+    from mvla_sim.paper.reproduce import reproduce as steps
+
+    code = 0
+    with shared_cache(cache_url), open_cluster(workers, scheduler, note) as cluster:
+        for step in steps(experiments, output, cluster=cluster, quick=quick):
+            if isinstance(step, RunStep):
+                code = max(code, _show_run(step.plan, step.result, step.pictures))
+            elif isinstance(step, MeasurementStep):
+                show_processed(step.name, step.done, step.files)
+            else:
+                wrote(step, what="report")
+    raise typer.Exit(code)
+
+
+@sweep_app.command()
+def report(output: ResultsFolder = Path("results")) -> None:
+    """Build figures, claims and the report page from stored results."""
+    from mvla_sim.paper.report import write_report
+
+    say(str(write_report(output)))
+
+
+def _show_survey(plan: Plan, found: Survey, workers: int) -> None:
+    """Print what a run would do: cases by axis, what is stored and cached, and about how long it takes."""
+    table = Table("axis", "values", "", title=plan.experiment.name)
+    table.add_row("scene", str(len(plan.files)), ", ".join(plan.files))
+    for axis, values in plan.experiment.axes.items():
+        count = "" if values == ("all",) else str(len(values))
+        table.add_row(axis, count, ", ".join("none" if value is None else str(value) for value in values))
+    show(table)
+    again = f", of which {found.failed} failed before" if found.failed else ""
+    say(f"cases:    {found.cases}; {found.done} stored, {found.cases - found.done} to run{again}")
+    say(f"CIRs:     {len(found.channels)} needed, {sum(channel.cached for channel in found.channels)} cached")
+    for channel in found.channels:
+        if not channel.cached:
+            say(f"          {channel.scene}: {channel.views} views to trace")
+    basis = "from the time of stored cases" if found.measured else "a guess: nothing was measured yet"
+    say(f"time:     about {_duration(found.seconds)} with {workers} workers ({basis})")
+
+
+def _show_run(plan: Plan, result: RunResult, pictures: Sequence[Path]) -> int:
+    """Print notes, the main columns and the files of a run; return its exit code, 1 where a case has no result."""
+    for text in result.notes:
+        note(f"note: {text}")
+    _show_table(plan, result)
+    wrote(*result.files, what="table")
+    wrote(*pictures, what="picture")
+    failed = result.table[result.table["status"] == "failed"]
+    for row in failed.head(FIRST_ERRORS).to_dict("records"):
+        note(f"case {row['case']} failed: {row['error']}")
+    counts = [f"{n} {word}" for word in ("failed", "missing") if (n := result.count(word))]
+    if counts:
+        note(f"error: of {len(result.table)} cases {' and '.join(counts)}; see the table")
+    return int(bool(counts))
+
+
+def _show_table(plan: Plan, result: RunResult) -> None:
+    """Print the main columns, averaged over offsets and seeds, if that makes a short table; the CSV has them all."""
+    from mvla_sim.sweep.table import AVERAGED, averaged
+
+    table, name = result.table, plan.experiment.name
+    variant = ["variant"] if "variant" in table else []
+    axes = ["scene", *variant, *(axis for axis in plan.experiment.axes if axis not in AVERAGED)]
+    shown = averaged(table, axes)
+    if len(shown) > MOST_ROWS or "cd_db" not in shown:
+        say(f"{name}: {len(table)} cases")
+        return
+    columns = [*axes, "cases", *(key for key in HEADS if key in shown)]
+    means = f": means over {' and '.join(a for a in AVERAGED if a in table)}" if len(table) > len(shown) else ""
+    grid = Table(*(HEADS.get(key, key) for key in columns), title=name + means)
+    for row in shown.to_dict("records"):
+        grid.add_row(*(_text(row[key]) for key in columns))
+    show(grid)
+
+
+def _text(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
