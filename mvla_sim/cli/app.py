@@ -38,7 +38,7 @@ def run(arguments: list[str]) -> int:
     if arguments in ([], ["scene"], ["dataset"]):
         arguments = [*arguments, "--help"]
     try:
-        code = app(arguments, standalone_mode=False)
+        code = app(arguments, prog_name="mvla", standalone_mode=False)
     except TyperException as error:
         note(f"error: {error.format_message()}")
         return 2

@@ -83,7 +83,7 @@ def test_every_command_has_help(capsys, command):
     """In words, and an option or argument each explained."""
     assert run([*command, "--help"]) == 0
     text = capsys.readouterr().out
-    assert "Usage: mvla " + " ".join(command) in text
+    assert " ".join(["Usage: mvla", *command]) in text
 
 
 def test_there_are_as_many_commands_as_ever():
