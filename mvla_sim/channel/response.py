@@ -1,33 +1,24 @@
-"""The dataset of measured channels: one complex frequency response a view, as a VNA sweeps it."""
+"""Measured channels: one complex frequency response a view, as a network analyser sweeps it."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-import shapely
 import xarray as xr
 from numpy.typing import NDArray
 
-from mvla_sim.channel.header import HEADER, check_radio, header_attributes, header_fields, header_variables
+from mvla_sim.channel.header import Channel
 from mvla_sim.constants import SPEED_OF_LIGHT
-from mvla_sim.errors import DataError, MvlaError
-from mvla_sim.netcdf import open_netcdf, write_netcdf
-from mvla_sim.scene.antenna_settings import AntennaSettings, Omni
-from mvla_sim.scene.views import Views
+from mvla_sim.errors import DataError
+from mvla_sim.netcdf import Variable
 
-__all__ = ["RESPONSE_SCHEMA", "FrequencyResponse"]
-
-RESPONSE_SCHEMA = "mvla-sim frequency response"
-RESPONSE_VERSION = 1
-_VARIABLES = ("response_real", "response_imag", "frequency", *HEADER)
+__all__ = ["FrequencyResponse"]
 
 
-@dataclass(frozen=True)
-class FrequencyResponse:
+@dataclass(frozen=True, eq=False, repr=False)
+class FrequencyResponse(Channel):
     """Frequency responses H_m(f_k) of M views at K uniform frequencies; window, inverse FFT and gate belong to imaging.
 
     Attributes
@@ -36,23 +27,29 @@ class FrequencyResponse:
         ``[n_view, n_frequency]`` complex128; the received over the transmitted wave, so |H|² is a path gain.
     start_hz, step_hz
         First frequency f_0 and spacing Δf, hertz. Delays are unambiguous up to 1/Δf.
-    views
-        Positions and angles of the sensor.
     carrier_hz, bandwidth_hz
-        Middle of the band and its width K·Δf, hertz.
-    extent_m, outline, antenna, config, provenance
-        As in :class:`~mvla_sim.channel.cir.Cir`.
+        Middle of the band and its width K·Δf, hertz: each frequency stands for an equal share of it. They follow from
+        the frequencies.
+    views, extent_m, outline, antenna, config, provenance
+        As of any :class:`~mvla_sim.channel.header.Channel`.
     """
+
+    SCHEMA: ClassVar = "mvla-sim frequency response"
+    VERSION: ClassVar = 1
+    WHAT: ClassVar = "frequency response"
+    VARIABLES: ClassVar = (
+        Variable("response_real", "response", ("view", "frequency"), "f8", "frequency response, real part",
+                 part="real"),
+        Variable("response_imag", "response", ("view", "frequency"), "f8", "frequency response, imaginary part",
+                 part="imag"),
+        Variable("frequency", "frequency_hz", ("frequency",), "f8", units="Hz"),
+    )  # fmt: skip
 
     response: NDArray[np.complex128]
     start_hz: float
     step_hz: float
-    views: Views
-    extent_m: float = float("nan")
-    outline: Any = None
-    antenna: AntennaSettings = field(default_factory=Omni)
-    config: Mapping[str, Any] = field(default_factory=dict)
-    provenance: Mapping[str, str] = field(default_factory=dict)
+    carrier_hz: float = field(init=False)
+    bandwidth_hz: float = field(init=False)
 
     def __post_init__(self) -> None:
         """Check shape, finiteness and the axis."""
@@ -65,12 +62,10 @@ class FrequencyResponse:
             raise DataError(f"response: view {bad[0][0]}, frequency {bad[0][1]} is not finite ({len(bad)} such)")
         if not (self.step_hz > 0 and np.isfinite(self.start_hz)):
             raise DataError(f"response: start {self.start_hz:g} Hz and step {self.step_hz:g} Hz; the step must be > 0")
-        check_radio(self, "response")
-
-    @property
-    def n_view(self) -> int:
-        """Number of views M."""
-        return len(self.views)
+        count = self.response.shape[1]
+        object.__setattr__(self, "carrier_hz", float(self.start_hz + self.step_hz * (count - 1) / 2))
+        object.__setattr__(self, "bandwidth_hz", float(self.step_hz * count))
+        super().__post_init__()
 
     @property
     def frequency_hz(self) -> NDArray[np.float64]:
@@ -78,79 +73,35 @@ class FrequencyResponse:
         return np.asarray(self.start_hz + self.step_hz * np.arange(self.response.shape[1]), np.float64)
 
     @property
-    def carrier_hz(self) -> float:
-        """Middle of the band, hertz."""
-        return float(self.start_hz + self.step_hz * (self.response.shape[1] - 1) / 2)
-
-    @property
-    def bandwidth_hz(self) -> float:
-        """Width of the band, K·Δf, hertz: each frequency stands for an equal share of it."""
-        return float(self.step_hz * self.response.shape[1])
-
-    @property
     def unambiguous_range_m(self) -> float:
         """One-way range beyond which echoes fold back to 0, c/(2Δf), metres."""
         return SPEED_OF_LIGHT / (2 * self.step_hz)
+
+    @property
+    def summary(self) -> str:
+        """How many views and frequencies there are, and which, in a few words."""
+        return (
+            f"{self.n_view} views, {self.response.shape[1]} frequencies from {self.start_hz / 1e9:.6g} GHz in steps of "
+            f"{self.step_hz / 1e6:.6g} MHz, unambiguous to {self.unambiguous_range_m:.2f} m"
+        )
 
     def with_phases(self, phase_rad: NDArray[np.float64]) -> FrequencyResponse:
         """Return a copy with a phase added to each view, ``[n_view]`` radians."""
         return replace(self, response=self.response * np.exp(1j * phase_rad)[:, None])
 
-    def select(self, indices: NDArray[np.intp]) -> FrequencyResponse:
-        """Return the given views, in the given order."""
-        return replace(self, response=self.response[indices], views=self.views.select(indices))
+    @classmethod
+    def _fields(cls, dataset: xr.Dataset) -> dict[str, Any]:
+        fields = super()._fields(dataset)
+        frequency = fields.pop("frequency_hz")
+        del fields["carrier_hz"], fields["bandwidth_hz"]
+        mean = (frequency[-1] - frequency[0]) / (frequency.size - 1)
+        step = float(dataset["frequency"].attrs.get("step", mean))
+        if not abs(step - mean) <= 1e-6 * abs(mean):
+            raise DataError(f"frequency: step {step:g} Hz, the frequencies are {mean:g} Hz apart")
+        return fields | {"start_hz": float(frequency[0]), "step_hz": step}
 
     def to_dataset(self) -> xr.Dataset:
         """Return the labelled dataset that :meth:`save` writes."""
-        axes = ("view", "frequency")
-        return xr.Dataset(
-            {
-                "response_real": (axes, self.response.real, {"long_name": "frequency response, real part"}),
-                "response_imag": (axes, self.response.imag, {"long_name": "frequency response, imaginary part"}),
-                **header_variables(self),
-            },
-            coords={
-                "frequency": ("frequency", self.frequency_hz, {"units": "Hz"}),
-                "xyz": ("xyz", ["x", "y", "z"]),
-                "view": np.arange(self.n_view),
-                "xy": ["x", "y"],
-            },
-            attrs=header_attributes(self, RESPONSE_SCHEMA, RESPONSE_VERSION),
-        )
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write NetCDF-4 under a temporary name and rename it.
-
-        Raises
-        ------
-        OutputError
-            The file cannot be written.
-        """
-        write_netcdf(self.to_dataset(), path, ("response_real", "response_imag", "position", "angle"))
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> FrequencyResponse:
-        """Read a file of frequency responses and check it.
-
-        Raises
-        ------
-        DataError
-            Missing, empty, truncated, not NetCDF-4, of another schema or version, or inconsistent.
-        """
-        dataset = open_netcdf(path, RESPONSE_SCHEMA, RESPONSE_VERSION, _VARIABLES)
-        try:
-            frequency = dataset["frequency"].values.astype(np.float64)
-            step = (frequency[-1] - frequency[0]) / (frequency.size - 1)
-            fields = header_fields(dataset)
-            for derived in ("carrier_hz", "bandwidth_hz"):
-                del fields[derived]
-            return cls(
-                response=dataset["response_real"].values + 1j * dataset["response_imag"].values,
-                start_hz=float(frequency[0]),
-                step_hz=float(step),
-                **fields,
-            )
-        except MvlaError as error:
-            raise DataError(f"{path}: {error}") from error
-        except (ValueError, TypeError, IndexError, ZeroDivisionError, shapely.GEOSException) as error:
-            raise DataError(f"{path}: not a readable file of frequency responses ({error})") from error
+        dataset = super().to_dataset()
+        dataset["frequency"].attrs["step"] = self.step_hz  # the differences of the frequencies are rounded
+        return dataset

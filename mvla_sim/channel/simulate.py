@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from mvla_sim.channel import raytrace
-from mvla_sim.channel.cir import SCHEMA_VERSION, Cir
+from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.raytrace import ViewPaths, ViewTracer
 from mvla_sim.engine.cache import cache_folder, discard, pull, push
 from mvla_sim.engine.provenance import provenance
@@ -41,7 +41,7 @@ def cache_file(scene: Scene) -> Path:
     """
     key = {
         "scene": scene.fingerprint(),
-        "schema": SCHEMA_VERSION,
+        "schema": Cir.VERSION,
         "versions": {name: version(name) for name in ("sionna-rt", "mitsuba", "drjit")},
         "tracer": hashlib.sha256((inspect.getsource(raytrace) + inspect.getsource(antenna)).encode()).hexdigest(),
     }

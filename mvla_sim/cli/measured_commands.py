@@ -37,8 +37,6 @@ def import_data(
     overrides: Overrides = None,
 ) -> None:
     """Read measured data, or another program's paths, into a channel file (NetCDF-4) that mvla image takes."""
-    from mvla_sim.channel.cir import Cir
-    from mvla_sim.channel.components import Components
     from mvla_sim.channel.readers.import_settings import import_settings
     from mvla_sim.channel.readers.importing import import_channel
 
@@ -49,16 +47,7 @@ def import_data(
         chosen = import_settings(source, settings, overrides or [])
     channel = import_channel(chosen)
     channel.save(output)
-    if isinstance(channel, Cir):
-        what = f"{channel.gain.size} paths"
-    elif isinstance(channel, Components):
-        what = f"{channel.range_m.size} components"
-    else:
-        what = (
-            f"{channel.response.shape[1]} frequencies from {channel.start_hz / 1e9:.6g} GHz in steps of "
-            f"{channel.step_hz / 1e6:.6g} MHz, unambiguous to {channel.unambiguous_range_m:.2f} m"
-        )
-    say(f"{output}: {channel.n_view} views, {what}")
+    say(f"{output}: {channel.summary}")
     for key in ("source.background", "source.calibration"):
         if key in channel.provenance:
             say(f"{key.removeprefix('source.')}: {channel.provenance[key]}")

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from mvla_sim.channel.cir import Cir
 from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.dataset.shard import (
+    CHANNEL_VARIABLES,
     OCCUPANCY,
     OPTIONAL,
     SHARD_SCHEMA,
@@ -36,8 +37,9 @@ from mvla_sim.errors import DataError, MvlaError
 from mvla_sim.evaluation.ground_truth import check_inside
 from mvla_sim.files import existing_file
 from mvla_sim.grid import VoxelGrid
+from mvla_sim.netcdf import check_heaps
+from mvla_sim.ragged import row_starts
 from mvla_sim.scene.scene_settings import SceneSettings
-from mvla_sim.scene.views import Views
 from mvla_sim.settings import parse
 
 __all__ = ["ShardReader"]
@@ -78,6 +80,7 @@ class ShardReader:
         if self.file.is_symlink():
             raise DataError(f"{self.file}: is a link; a dataset's files must lie in its own directory")
         existing_file(self.file, "shard")
+        check_heaps(self.file)
         with self.explained():
             self._bytes = self.file.stat().st_size
             self._handle = h5py.File(self.file, "r")
@@ -175,27 +178,19 @@ class ShardReader:
 
     def _cir(self, row: int, views: slice, paths: slice, metadata: dict[str, Any]) -> Cir:
         read = self._handle
-        x, y = read["center"][row]
-        apart = {name: read[name][views] if name in read else None for name in OPTIONAL}
-        apart = {name: None if v is None or np.isnan(v).all() else v for name, v in apart.items()}
+        place: dict[str, Any] = {"path": paths, "view": views, "sample": row}
+        stored = {item.name: read[item.name][place[item.dims[0]] if item.dims else ()]
+                  for item in CHANNEL_VARIABLES if item.name in read}  # fmt: skip
+        for name in OPTIONAL:
+            if name in stored and np.isnan(stored[name]).all():
+                del stored[name]
         return Cir(
-            gain=(read["gain_real"][paths] + 1j * read["gain_imag"][paths]).astype(np.complex64),
-            delay_s=read["delay"][paths].astype(np.float64),
-            interaction=read["interaction"][paths].astype(np.uint8),
-            first_point_m=read["first_point"][paths].astype(np.float32),
-            row_size=self._row_size[views],
-            views=Views(
-                read["position"][views], read["angle"][views], (float(x), float(y)),
-                apart["receiver"], apart["boresight"],
-            ),
-            carrier_hz=float(read["carrier_frequency"][()]),
-            bandwidth_hz=float(read["bandwidth"][()]),
-            extent_m=float(read["target_extent"][row]),
+            **Cir.fields_of(stored),
             outline=self._outline(row),
             antenna=self.campaign.radio.antenna,
             config=metadata.get("settings", {}),
             provenance=self.provenance,
-        )  # fmt: skip
+        )
 
     def _outline(self, row: int) -> Any:
         found = shapely.from_wkt(self._handle["outline_wkt"].asstr()[row])
@@ -244,7 +239,7 @@ class ShardReader:
             raise DataError(f"holds {read['sample'].size} samples; at most {self.campaign.samples_per_shard}")
         self.samples: NDArray[np.int64] = read["sample"][()].astype(np.int64)
         view_count = read["view_count"][()].astype(np.int64)
-        self._row_size: NDArray[np.int64] = read["row_size"][()].astype(np.int64)
+        row_size = read["row_size"][()].astype(np.int64)
         errors = self._texts("failed_error")
         self.failed = tuple(
             Failure(int(number), text) for number, text in zip(read["failed_sample"][()], errors, strict=True)
@@ -254,13 +249,12 @@ class ShardReader:
             raise DataError(f"holds samples {there[:3]}… in another order or number than shard {self.number} has")
         grid = VoxelGrid.from_settings(self.campaign.grid)
         nx, ny, _ = grid.counts
-        count, views, paths = self.samples.size, self._row_size.size, read["delay"].size
+        count, views, paths = self.samples.size, row_size.size, read["delay"].size
+        lengths = {"sample": count, "view": views, "path": paths, "xyz": 3, "xy": 2}
         shapes: dict[str, tuple[int, ...]] = {
-            "view_count": (count,), "center": (count, 2), "target_extent": (count,), "occupancy": (count, ny, nx),
-            "outline_wkt": (count,), "metadata": (count,), "position": (views, 3), "angle": (views,),
-            "receiver": (views, 3), "boresight": (views, 3), "gain_real": (paths,), "gain_imag": (paths,),
-            "delay": (paths,), "interaction": (paths,), "first_point": (paths, 3), "carrier_frequency": (),
-            "bandwidth": (), "x": (nx,), "y": (ny,),
+            "view_count": (count,), "occupancy": (count, ny, nx), "outline_wkt": (count,), "metadata": (count,),
+            "x": (nx,), "y": (ny,),
+            **{item.name: tuple(lengths[dim] for dim in item.dims) for item in CHANNEL_VARIABLES},
         }  # fmt: skip
         for name, shape in shapes.items():
             if name in read and read[name].shape != shape:
@@ -268,11 +262,10 @@ class ShardReader:
         for name, axis in zip("xy", grid.axes()[:2], strict=True):
             if not np.allclose(read[name][()], axis, rtol=0, atol=1e-9):
                 raise DataError(f"{name} is not that of the campaign's grid")
-        for name, sizes, total in (("view_count", view_count, views), ("row_size", self._row_size, paths)):
+        for name, sizes, total in (("view_count", view_count, views), ("row_size", row_size, paths)):
             if (sizes < 0).any() or int(sizes.sum()) != total:
                 raise DataError(f"{name} adds up to {sizes.sum()}, the file holds {total}")
-        self._view_start = np.concatenate([[0], np.cumsum(view_count)])
-        self._path_start = np.concatenate([[0], np.cumsum(self._row_size)])
+        self._view_start, self._path_start = row_starts(view_count), row_starts(row_size)
 
     def _number(self, name: str) -> Any:
         """A number among the attributes; NetCDF knows them as arrays of one."""

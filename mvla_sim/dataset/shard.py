@@ -17,7 +17,7 @@ import json
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import dask
@@ -27,7 +27,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from rich.console import Console
 
-from mvla_sim.channel.cir import INTERACTIONS, Cir
+from mvla_sim.channel.cir import Cir
+from mvla_sim.channel.header import HEADER
 from mvla_sim.channel.simulate import SimulationInterruptedError, simulate
 from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.dataset.sample import draw_sample, family_of, split_of
@@ -36,11 +37,13 @@ from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import OutputError, RuntimeUnfitError, reason
 from mvla_sim.evaluation.ground_truth import rasterize
 from mvla_sim.grid import VoxelGrid
+from mvla_sim.netcdf import PACKED
 from mvla_sim.progress import Advance, progress
 from mvla_sim.scene.world import Scene
 
 __all__ = [
-    "OCCUPANCY", "SHARD_SCHEMA", "SHARD_VERSION", "TEXTS", "VARIABLES", "Failure", "Made", "Shard", "ShardTask",
+    "CHANNEL_VARIABLES", "OCCUPANCY", "OPTIONAL", "SHARD_SCHEMA", "SHARD_VERSION", "TEXTS", "VARIABLES", "Failure",
+    "Made", "Shard", "ShardTask",
     "data_digest", "encode", "make_one", "make_sample", "make_shard", "numbers_of", "occupancy_of", "shard_name",
 ]  # fmt: skip
 
@@ -48,22 +51,25 @@ SHARD_SCHEMA: Final = "mvla-sim dataset shard"
 SHARD_VERSION: Final = 1
 OCCUPANCY: Final = {"inside": 1, "contour": 2}
 """Bits of ``occupancy``: a voxel that the outline covers or meets, and one that its boundary meets (then both)."""
-TEXTS: Final = ("outline_wkt", "metadata", "failed_error")
-_PATHS: Final = ("gain_real", "gain_imag", "delay", "interaction", "first_point")
-_SAMPLES: Final = ("sample", "view_count", "center", "target_extent", "occupancy")
-VARIABLES: Final = (
-    *_SAMPLES,
-    *TEXTS,
-    "failed_sample",
-    "row_size",
-    "position",
-    "angle",
-    *_PATHS,
-    "carrier_frequency",
-    "bandwidth",
+CHANNEL_VARIABLES: Final = (
+    *Cir.VARIABLES,
+    *(
+        replace(item, dims=("sample", *item.dims)) if item.name in ("center", "target_extent") else item
+        for item in HEADER
+    ),
 )
-OPTIONAL: Final = ("receiver", "boresight")
+"""Variables of the channels, as in their files; of several samples one after another, or a row a sample."""
+TEXTS: Final = ("outline_wkt", "metadata", "failed_error")
+OPTIONAL: Final = tuple(item.name for item in CHANNEL_VARIABLES if item.optional)
 """Only where a sample has them; NaN in samples without."""
+VARIABLES: Final = (
+    "sample",
+    "view_count",
+    "occupancy",
+    "failed_sample",
+    *TEXTS,
+    *(item.name for item in CHANNEL_VARIABLES if not item.optional),
+)
 
 
 @dataclass(frozen=True)
@@ -242,12 +248,12 @@ def encode(
     dataset = xr.Dataset(variables, attrs=_attributes(campaign, number) | {
         "data_sha256": digest, "seconds": seconds,
     })  # fmt: skip
-    packing: dict[str, Any] = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
-    encoding: dict[str, dict[str, Any]] = {}
-    for name in (*_PATHS, *_SAMPLES, "row_size", "position", "angle", *OPTIONAL):
-        if name in dataset and dataset[name].size:
-            encoding[name] = packing | ({"chunksizes": (1, *dataset[name].shape[1:])} if name == "occupancy" else {})
-            encoding[name]["_FillValue"] = None
+    packed = ["sample", "view_count", "occupancy", *(item.name for item in CHANNEL_VARIABLES if item.packed)]
+    encoding: dict[str, dict[str, Any]] = {
+        name: PACKED | {"_FillValue": None} for name in packed if name in dataset and dataset[name].size
+    }
+    if "occupancy" in encoding:
+        encoding["occupancy"]["chunksizes"] = (1, *dataset["occupancy"].shape[1:])
     with dask.config.set(scheduler="synchronous"):  # else xarray asks a Dask worker for a lock named like the buffer
         content = bytes(dataset.to_netcdf(engine="h5netcdf", encoding=encoding))
     return Shard(number, content, digest, tuple(failed), seconds)
@@ -312,12 +318,6 @@ def _variables(campaign: CampaignSettings, made: Sequence[Made]) -> dict[str, An
     xs, ys, _ = VoxelGrid.from_settings(campaign.grid).axes()
     outlines = _texts(_wkt(sample.cir.outline) for sample in made)
     metadata = _texts(json.dumps(dict(sample.metadata), sort_keys=True) for sample in made)
-
-    def joined(parts: list[Any], shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-        return np.concatenate(parts).astype(dtype) if parts else np.zeros((0, *shape), dtype)
-
-    gain = joined([c.gain for c in cirs], (), np.complex64)
-    flags = {"flag_masks": np.array(list(INTERACTIONS.values()), np.uint8), "flag_meanings": " ".join(INTERACTIONS)}
     masks = {"flag_masks": np.array(list(OCCUPANCY.values()), np.uint8), "flag_meanings": " ".join(OCCUPANCY)}
     variables: dict[str, Any] = {
         "sample": ("sample", np.array([m.number for m in made], np.int64), {"long_name": "number of the sample"}),
@@ -326,16 +326,6 @@ def _variables(campaign: CampaignSettings, made: Sequence[Made]) -> dict[str, An
             np.array([c.n_view for c in cirs], np.int64),
             {"long_name": "number of views of the sample", "sample_dimension": "view"},
         ),
-        "center": (
-            ("sample", "xy"),
-            np.array([c.views.center_m for c in cirs], np.float64).reshape(-1, 2),
-            {"long_name": "centre of the trajectory", "units": "m"},
-        ),
-        "target_extent": (
-            "sample",
-            np.array([c.extent_m for c in cirs], np.float64),
-            {"long_name": "largest extent D of the target", "units": "m"},
-        ),
         "occupancy": (
             ("sample", "y", "x"),
             np.array([m.occupancy for m in made], np.uint8).reshape(-1, ny, nx),
@@ -343,48 +333,16 @@ def _variables(campaign: CampaignSettings, made: Sequence[Made]) -> dict[str, An
         ),
         "outline_wkt": ("sample", outlines, {"long_name": "outline of the target, x and y in metres"}),
         "metadata": ("sample", metadata, {"long_name": "sample, family, split, settings of the scene; JSON"}),
-        "row_size": (
-            "view",
-            joined([c.row_size for c in cirs], (), np.int64),
-            {"long_name": "number of paths of the view", "sample_dimension": "path"},
-        ),
-        "position": (
-            ("view", "xyz"),
-            joined([c.views.positions_m for c in cirs], (3,), np.float64),
-            {"long_name": "sensor position", "units": "m"},
-        ),
-        "angle": (
-            "view",
-            joined([c.views.angles_deg for c in cirs], (), np.float64),
-            {"long_name": "direction of the sensor from center, counter-clockwise from +x", "units": "degree"},
-        ),
-        "gain_real": ("path", gain.real, {"long_name": "complex baseband path gain, real part", "units": "1"}),
-        "gain_imag": ("path", gain.imag, {"long_name": "complex baseband path gain, imaginary part", "units": "1"}),
-        "delay": (
-            "path",
-            joined([c.delay_s for c in cirs], (), np.float64),
-            {"long_name": "round-trip propagation delay", "units": "s"},
-        ),
-        "interaction": (
-            "path",
-            joined([c.interaction for c in cirs], (), np.uint8),
-            {"long_name": "interactions along the path", **flags},
-        ),
-        "first_point": (
-            ("path", "xyz"),
-            joined([c.first_point_m for c in cirs], (3,), np.float32),
-            {"long_name": "first interaction point", "units": "m"},
-        ),
-        "carrier_frequency": ((), campaign.radio.carrier_hz, {"units": "Hz"}),
-        "bandwidth": ((), campaign.radio.bandwidth_hz, {"units": "Hz"}),
         "x": ("x", xs, {"long_name": "voxel centres", "units": "m"}),
         "y": ("y", ys, {"long_name": "voxel centres", "units": "m"}),
     }
-    meanings = {"receiver": "receiver position where it is apart; position is then the transmitter's",
-                "boresight": "unit vector in which the antennas point"}  # fmt: skip
-    found = {"receiver": [c.views.receivers_m for c in cirs], "boresight": [c.views.boresights for c in cirs]}
-    for name, parts in found.items():
-        if any(part is not None for part in parts):
+    for item in CHANNEL_VARIABLES:
+        parts = [item.of(cir) for cir in cirs]
+        if not item.dims:
+            variables[item.name] = item.entry(getattr(campaign.radio, item.field))
+        elif item.dims[0] == "sample":
+            variables[item.name] = item.entry(item.joined([part[None] for part in parts if part is not None]))
+        elif not item.optional or any(part is not None for part in parts):
             filled = [np.full((c.n_view, 3), np.nan) if p is None else p for c, p in zip(cirs, parts, strict=True)]
-            variables[name] = (("view", "xyz"), np.concatenate(filled), {"long_name": meanings[name]})
+            variables[item.name] = item.entry(item.joined(filled))
     return variables

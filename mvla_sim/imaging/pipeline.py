@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.components import Components
 from mvla_sim.channel.impairments import assumed_views, impair_channel, remaining_views
 from mvla_sim.channel.loading import Channel
@@ -68,6 +69,7 @@ def front_end(channel: Channel, settings: ImagingSettings, grid: VoxelGrid) -> F
             )
         peaks = Peaks(channel.range_m, channel.power, channel.row_size)
         return FrontEnd(None, peaks, range_resolution(channel.bandwidth_hz))
+    assert isinstance(channel, Cir | FrequencyResponse)
     gate = gate_for(grid, channel.views, settings.pdp)
     pdp = add_noise(compute_pdp(channel, settings.pdp, gate), _noise(channel, settings.noise))
     peaks = extract_peaks(pdp, settings.peaks) if method.uses_peaks else Peaks.none(channel.n_view)

@@ -34,20 +34,20 @@ def ring_views(count, radius_m=6.0):
     return Views(radius_m * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1), angles, (0.0, 0.0))
 
 
-def random_cir(seed=0, views=5, **changes):
+def random_cir(seed=0, count=5, **changes):
     """A CIR of random paths, one view without any, with everything a file can carry."""
     rng = np.random.default_rng(seed)
-    rows = rng.integers(1, 9, views)
-    rows[views // 2] = 0
-    count = int(rows.sum())
-    gain = (rng.standard_normal(count) + 1j * rng.standard_normal(count)).astype(np.complex64)
+    rows = rng.integers(1, 9, count)
+    rows[count // 2] = 0
+    paths = int(rows.sum())
+    gain = (rng.standard_normal(paths) + 1j * rng.standard_normal(paths)).astype(np.complex64)
     fields = {
         "gain": gain,
-        "delay_s": range_to_delay(rng.uniform(3, 9, count)),
-        "interaction": rng.integers(0, 16, count).astype(np.uint8),
-        "first_point_m": rng.standard_normal((count, 3)).astype(np.float32),
+        "delay_s": range_to_delay(rng.uniform(3, 9, paths)),
+        "interaction": rng.integers(0, 16, paths).astype(np.uint8),
+        "first_point_m": rng.standard_normal((paths, 3)).astype(np.float32),
         "row_size": rows.astype(np.int64),
-        "views": ring_views(views),
+        "views": ring_views(count),
         "carrier_hz": 36e9,
         "bandwidth_hz": 3e9,
         "extent_m": 4.0,

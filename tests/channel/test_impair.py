@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,7 +40,8 @@ def channel(n_view=8, paths=3, **fields):
     gains = np.tile(0.5 ** np.arange(paths), n_view - 1) * np.exp(1j * np.arange(ranges.size))
     return Cir(
         gains.astype(np.complex64), range_to_delay(ranges), np.ones(ranges.size, np.uint8),
-        np.zeros((ranges.size, 3), np.float32), size, ring(n_view), 36e9, 3e9, **({"extent_m": 4.0} | fields),
+        np.zeros((ranges.size, 3), np.float32), size, views=ring(n_view), carrier_hz=36e9, bandwidth_hz=3e9,
+        **({"extent_m": 4.0} | fields),
     )  # fmt: skip
 
 
@@ -148,7 +151,7 @@ def test_clutter_is_a_poisson_number_of_echoes_of_exponential_power_over_the_gat
 def test_clutter_follows_each_views_strongest_path():
     cir = channel(400)
     scale = np.repeat(np.where(np.arange(400) < 200, 1.0, 10.0), cir.row_size).astype(np.float32)
-    louder = Cir(**{**vars(cir), "gain": cir.gain * scale})
+    louder = replace(cir, gain=cir.gain * scale)
     seen = impaired(louder, clutter_paths=20.0, clutter_db=0.0)
     view = np.repeat(np.arange(400), seen.row_size)
     false = np.isnan(seen.first_point_m[:, 0])
@@ -197,8 +200,10 @@ def test_a_delay_below_zero_is_refused(values):
 def measured(kind):
     views = ring(4)
     if kind == "components":
-        return Components(np.full(4, 9.0), np.ones(4), np.ones(4, np.int64), views, 36e9, 3e9)
-    return FrequencyResponse(np.ones((4, 11), complex), 35e9, 2e8, views)
+        return Components(
+            np.full(4, 9.0), np.ones(4), np.ones(4, np.int64), views=views, carrier_hz=36e9, bandwidth_hz=3e9
+        )
+    return FrequencyResponse(np.ones((4, 11), complex), 35e9, 2e8, views=views)
 
 
 @pytest.mark.parametrize("kind", ["components", "frequency responses"])

@@ -48,7 +48,7 @@ def cir():
     count = int(rows.sum())
     return Cir(
         np.concatenate(gain).astype(np.complex64), np.concatenate(delay), np.zeros(count, np.uint8),
-        np.full((count, 3), np.nan, np.float32), rows, views, CARRIER, 3e9, extent_m=1.0,
+        np.full((count, 3), np.nan, np.float32), rows, views=views, carrier_hz=CARRIER, bandwidth_hz=3e9, extent_m=1.0,
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from channel_scenes import build, ring
-from test_cir import same
+from kinds_of_channel import same
 
 from mvla_sim.channel import simulate as module
 from mvla_sim.channel.cir import Cir

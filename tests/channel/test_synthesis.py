@@ -34,7 +34,8 @@ def point_cir(ranges_m=(6.0,), level_db=-90.0, views=4):
     return Cir(
         np.full(count, 10 ** (level_db / 20), np.complex64),
         range_to_delay(np.tile(np.asarray(ranges_m, np.float64), views)), np.zeros(count, np.uint8),
-        np.full((count, 3), np.nan, np.float32), np.full(views, len(ranges_m), np.int64), ring_views(views), 36e9, 3e9,
+        np.full((count, 3), np.nan, np.float32), np.full(views, len(ranges_m), np.int64), views=ring_views(views),
+        carrier_hz=36e9, bandwidth_hz=3e9,
     )  # fmt: skip
 
 
@@ -129,7 +130,7 @@ def test_phases_are_one_a_sweep_and_do_not_touch_the_noise():
 
 
 def test_one_seed_gives_one_campaign_whatever_else_is_swept():
-    cir = random_cir(1, views=6)
+    cir = random_cir(1, 6)
     noisy = chosen(snr_db=10, random_phase=True, reference_range_m=5.0)
     one, again = synthesize(cir, noisy), synthesize(cir, noisy)
     np.testing.assert_array_equal(one.sweeps.response, again.sweeps.response)
@@ -166,7 +167,7 @@ def test_channels_that_cannot_be_swept_are_refused():
 
 
 def test_files_hold_the_sweeps_exactly(tmp_path):
-    campaign = synthesize(random_cir(2, views=5), chosen(snr_db=15, reference_range_m=5.0))
+    campaign = synthesize(random_cir(2, 5), chosen(snr_db=15, reference_range_m=5.0))
     angles = [0.0, 10.0, 20.5, 100.0, -5.0]
     files = write_campaign(campaign, tmp_path / "made", "car", angles)
     assert [file.name for file in files] == [

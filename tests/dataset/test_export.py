@@ -14,7 +14,7 @@ from mvla_sim.channel.readers.deepmimo import read_deepmimo
 from mvla_sim.channel.readers.import_settings import import_settings
 from mvla_sim.channel.readers.importing import import_channel
 from mvla_sim.channel.readers.pairs import select_pairs
-from mvla_sim.dataset import export as module
+from mvla_sim.dataset import exports as module
 from mvla_sim.dataset.access import open_dataset
 from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.exports import export_mat, export_npz

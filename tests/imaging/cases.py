@@ -51,8 +51,8 @@ def channel(paths, views, bandwidth_hz=BANDWIDTH, **fields):
     count = len(flat)
     return Cir(
         flat[:, 1].astype(np.complex64), range_to_delay(flat[:, 0].real), np.zeros(count, np.uint8),
-        np.full((count, 3), np.nan, np.float32), np.array([len(view) for view in paths], np.int64), views,
-        36e9, bandwidth_hz, **({"extent_m": 4.0} | fields),
+        np.full((count, 3), np.nan, np.float32), np.array([len(view) for view in paths], np.int64),
+        views=views, carrier_hz=36e9, bandwidth_hz=bandwidth_hz, **({"extent_m": 4.0} | fields),
     )  # fmt: skip
 
 
@@ -87,4 +87,4 @@ def response(paths, views, start_hz=36e9 - BANDWIDTH / 2, count=1001, bandwidth_
         pairs = np.array(view, np.complex128).reshape(-1, 2)
         delay = range_to_delay(pairs[:, 0].real)
         rows.append((pairs[:, 1] * np.exp(-2j * np.pi * offset[:, None] * delay)).sum(axis=1))
-    return FrequencyResponse(np.array(rows), start_hz, step, views, **({"extent_m": 4.0} | fields))
+    return FrequencyResponse(np.array(rows), start_hz, step, views=views, **({"extent_m": 4.0} | fields))

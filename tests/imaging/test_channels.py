@@ -21,6 +21,7 @@ from mvla_sim.netcdf import write_netcdf
 from mvla_sim.scene.antenna_settings import Horn
 from mvla_sim.settings import parse
 
+RADIO = {"carrier_hz": 36e9, "bandwidth_hz": BANDWIDTH}
 POINTS = [[1.0, 0.5, 0.0], [-0.8, -0.4, 0.0], [0.3, -1.2, 0.0]]
 
 
@@ -39,8 +40,8 @@ def extracted(cir, settings):
     """The components that are found in a CIR."""
     peaks = front_end(cir, settings, VoxelGrid.from_settings(settings.grid)).peaks
     return Components(
-        peaks.range_m, peaks.power, peaks.row_size, cir.views, 36e9, cir.bandwidth_hz, extent_m=cir.extent_m,
-        antenna=cir.antenna,
+        peaks.range_m, peaks.power, peaks.row_size, views=cir.views, carrier_hz=36e9, bandwidth_hz=cir.bandwidth_hz,
+        extent_m=cir.extent_m, antenna=cir.antenna,
     )  # fmt: skip
 
 
@@ -117,7 +118,7 @@ def test_components_enter_where_peaks_leave_the_detector(method):
 
 
 def test_components_need_no_gate_and_may_lie_anywhere():
-    far = Components(np.array([9.5, 400.0]), np.array([2.0, 1.0]), np.array([1, 0, 1]), ring(3), 36e9, BANDWIDTH)
+    far = Components(np.array([9.5, 400.0]), np.array([2.0, 1.0]), np.array([1, 0, 1]), views=ring(3), **RADIO)
     front = front_end(far, options(), VoxelGrid.from_settings(options().grid))
     assert front.pdp is None
     assert front.resolution_m == pytest.approx(RESOLUTION)
@@ -135,7 +136,7 @@ def test_backprojection_of_components_is_refused():
 
 
 def test_chosen_views_without_components_are_an_error():
-    some = Components(np.array([9.5]), np.ones(1), np.array([1, 0, 0, 0]), ring(4), 36e9, BANDWIDTH, extent_m=4.0)
+    some = Components(np.array([9.5]), np.ones(1), np.array([1, 0, 0, 0]), views=ring(4), **RADIO, extent_m=4.0)
     with pytest.raises(DataError, match="no peak in any of the 2 chosen views"):
         reconstruct(some, options(interval_deg=180, offset=1))
 
@@ -144,11 +145,11 @@ def test_components_must_rise_in_range_within_a_view():
     """The search for the nearest one relies on it."""
     falling = {"range_m": np.array([9.0, 8.0, 9.5]), "power": np.ones(3), "views": ring(2)}
     with pytest.raises(DataError, match="ranges of view 0 do not rise"):
-        Components(**falling, row_size=np.array([2, 1]), carrier_hz=36e9, bandwidth_hz=BANDWIDTH)
-    assert Components(**falling, row_size=np.array([1, 2]), carrier_hz=36e9, bandwidth_hz=BANDWIDTH).n_view == 2
+        Components(**falling, row_size=np.array([2, 1]), **RADIO)
+    assert Components(**falling, row_size=np.array([1, 2]), **RADIO).n_view == 2
     with pytest.raises(DataError, match="ranges of view 1 do not rise"):
         Components(
-            np.array([9.0, 8.0, 9.5, 9.4]), np.ones(4), np.array([1, 3]), ring(2), 36e9, BANDWIDTH
+            np.array([9.0, 8.0, 9.5, 9.4]), np.ones(4), np.array([1, 3]), views=ring(2), **RADIO
         )  # fmt: skip
 
 
@@ -216,7 +217,7 @@ def test_other_files_are_refused_with_the_schemas_that_are_read(three, tmp_path)
 
 
 def test_file_of_components_that_do_not_rise_is_refused_with_its_name(tmp_path):
-    some = Components(np.array([8.0, 9.0]), np.ones(2), np.array([2]), ring(1), 36e9, BANDWIDTH)
+    some = Components(np.array([8.0, 9.0]), np.ones(2), np.array([2]), views=ring(1), **RADIO)
     dataset = some.to_dataset()
     dataset["range"].values[:] = [9.0, 8.0]
     write_netcdf(dataset, tmp_path / "some.nc", ())

@@ -313,7 +313,7 @@ def test_components_have_no_phase_but_range_points():
     views = ring(24)
     rows = echoes_of(POINTS, views)
     flat = np.array([pair for row in rows for pair in sorted(row)])
-    parts = Components(flat[:, 0], flat[:, 1], np.full(24, 3), views, 36e9, 3e9)
+    parts = Components(flat[:, 0], flat[:, 1], np.full(24, 3), views=views, carrier_hz=36e9, bandwidth_hz=3e9)
     for method in ("carving", "rpm"):
         assert np.isfinite(reconstruct(parts, options(method=method)).score).all()
     with pytest.raises(ConfigError, match="bp-coherent needs profiles") as caught:

@@ -120,7 +120,9 @@ def test_views_at_one_place_without_peaks_or_alone_are_no_trouble(method):
 def measured(kind):
     views = ring(12)
     if kind == "components":
-        return Components(np.full(12, 10.0), np.ones(12), np.ones(12, np.int64), views, 36e9, 3e9)
+        return Components(
+            np.full(12, 10.0), np.ones(12), np.ones(12, np.int64), views=views, carrier_hz=36e9, bandwidth_hz=3e9
+        )
     return response([[(10.0, 1.0)]] * 12, views, count=2001)
 
 

@@ -274,7 +274,7 @@ def test_a_channel_file_does_without_its_pattern_file(tmp_path):
     before = build_antenna(antenna)
     angle = np.deg2rad([0.0, 90.0, 180.0])
     views = Views(np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), np.rad2deg(angle), (0.0, 0.0))
-    FrequencyResponse(np.ones((3, 4), complex), 36e9, 1e6, views, antenna=antenna).save(tmp_path / "r.nc")
+    FrequencyResponse(np.ones((3, 4), complex), 36e9, 1e6, views=views, antenna=antenna).save(tmp_path / "r.nc")
     csv.unlink()
     after = build_antenna(FrequencyResponse.load(tmp_path / "r.nc").antenna)
     np.testing.assert_allclose(after.azimuth_db, before.azimuth_db, atol=6e-4)

@@ -132,7 +132,7 @@ def _touchstone(settings: ImportSettings, kind: str) -> FrequencyResponse:
         response, delay, gain = calibrate(response, echo, settings=sweeps.reference, start_hz=start, step_hz=step)
         facts["calibration"] = f"{delay * 1e9:.4f} ns and {20 * np.log10(gain):.2f} dB by {sweeps.reference.kind}"
     views = _views(settings, _Place(angles_deg=angles), len(files))
-    return FrequencyResponse(response, start, step, views, **_described(settings, kind, facts))
+    return FrequencyResponse(response, start, step, views=views, **_described(settings, kind, facts))
 
 
 def _arrays(settings: ImportSettings, kind: str) -> FrequencyResponse:
@@ -142,9 +142,9 @@ def _arrays(settings: ImportSettings, kind: str) -> FrequencyResponse:
     described = _described(settings, kind, {})
     if names.axis_kind == "frequency":
         start, step = float(data.axis[0]), float((data.axis[-1] - data.axis[0]) / (data.axis.size - 1))
-        return FrequencyResponse(data.values, start, step, views, **described)
+        return FrequencyResponse(data.values, start, step, views=views, **described)
     response, start, step = _of_taps(data, settings)
-    return FrequencyResponse(response, start, step, views, **described)
+    return FrequencyResponse(response, start, step, views=views, **described)
 
 
 def _of_taps(data: ArrayData, settings: ImportSettings) -> tuple[NDArray[np.complex128], float, float]:
@@ -176,8 +176,9 @@ def _components(settings: ImportSettings, kind: str) -> Components:
     table = read_components(settings.source)
     views = _views(settings, _Place(table.angles_deg, table.positions_m, table.receivers_m), table.row_size.size)
     return Components(
-        table.range_m, table.power, table.row_size, views, *_radio(settings, None), **_described(settings, kind, {})
-    )
+        table.range_m, table.power, table.row_size, views=views, **_radio(settings, None),
+        **_described(settings, kind, {}),
+    )  # fmt: skip
 
 
 def _deepmimo(settings: ImportSettings, kind: str) -> Cir:
@@ -208,19 +209,19 @@ def _of_pairs(settings: ImportSettings, kind: str, paths: PairPaths) -> Cir:
         paths.interaction,
         paths.first_point_m,
         paths.row_size,
-        _views(settings, place, paths.n_pair),
-        *_radio(settings, paths.carrier_hz),
+        views=_views(settings, place, paths.n_pair),
+        **_radio(settings, paths.carrier_hz),
         **_described(settings, kind, paths.source),
     )
 
 
-def _radio(settings: ImportSettings, carrier_hz: float | None) -> tuple[float, float]:
+def _radio(settings: ImportSettings, carrier_hz: float | None) -> dict[str, Any]:
     """Carrier and bandwidth, from the settings or the data."""
     carrier = settings.carrier_hz or carrier_hz
     if carrier is None or settings.bandwidth_hz is None:
         missing = "carrier_hz" if carrier is None else "bandwidth_hz"
         raise ConfigError(f"{missing}: missing key; {Path(settings.source).name} does not say it (--set {missing}=…)")
-    return carrier, settings.bandwidth_hz
+    return {"carrier_hz": carrier, "bandwidth_hz": settings.bandwidth_hz}
 
 
 def _described(settings: ImportSettings, kind: str, facts: Mapping[str, str]) -> dict[str, Any]:
