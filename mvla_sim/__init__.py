@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from mvla_sim.channel.readers.importing import import_channel
     from mvla_sim.channel.response import FrequencyResponse
     from mvla_sim.channel.simulate import simulate
-    from mvla_sim.channel.synthesis import synthesize, write_campaign
+    from mvla_sim.channel.synthesis import synthesize, write_sweeps
     from mvla_sim.dataset.access import open_dataset
     from mvla_sim.dataset.build import build_dataset
     from mvla_sim.dataset.score import score_dataset
@@ -95,7 +95,7 @@ _HOMES = {
     "score_dataset": "dataset.score",
     "simulate": "channel.simulate",
     "synthesize": "channel.synthesis",
-    "write_campaign": "channel.synthesis",
+    "write_sweeps": "channel.synthesis",
 }
 
 __all__ = [
@@ -130,7 +130,7 @@ __all__ = [
     "score_dataset",
     "simulate",
     "synthesize",
-    "write_campaign",
+    "write_sweeps",
 ]
 
 

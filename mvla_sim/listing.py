@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from mvla_sim.channel.readers.import_settings import ImportSettings
-from mvla_sim.channel.synthesis_settings import SynthesisSettings
+from mvla_sim.channel.synthesis import SynthesisSettings
 from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.distributions import Drawn
 from mvla_sim.errors import ConfigError

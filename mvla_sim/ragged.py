@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -10,12 +11,7 @@ from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError
 
-__all__ = ["Ragged", "row_starts"]
-
-
-def row_starts(sizes: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Index of each row's first element and, last, the number of elements, ``[n_row + 1]``, of lengths ``[n_row]``."""
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+__all__ = ["Ragged", "Rows"]
 
 
 class Ragged:
@@ -35,7 +31,7 @@ class Ragged:
     @cached_property
     def row_start(self) -> NDArray[np.int64]:
         """Index of each row's first element and, last, the number of elements, ``[n_row + 1]``."""
-        return row_starts(self.row_size)
+        return np.concatenate([[0], np.cumsum(self.row_size)]).astype(np.int64)
 
     @cached_property
     def row_index(self) -> NDArray[np.int64]:
@@ -66,3 +62,10 @@ class Ragged:
             raise DataError(
                 f"{what}: row_size adds up to {size.sum()}, and there are {n_element}; it must be 0 or more"
             )
+
+
+@dataclass(frozen=True, eq=False)
+class Rows(Ragged):
+    """Rows alone, where the elements are elsewhere, as in an open file."""
+
+    row_size: NDArray[np.int64]

@@ -49,7 +49,7 @@ __all__ = ["LaunchWindow", "ViewPaths", "ViewTracer"]
 _MARGIN = 2e-3  # of the unit square's width: keeps silhouettes inside the window, whatever the rounding
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ViewPaths:
     """The paths of one view; attributes as in :class:`~mvla_sim.channel.cir.Cir`."""
 
@@ -59,7 +59,7 @@ class ViewPaths:
     first_point_m: NDArray[np.float32]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LaunchWindow:
     """Rectangle of the unit square into which rays are launched: x = azimuth/2π, y = (1 − cos θ)/2."""
 
@@ -99,7 +99,7 @@ class LaunchWindow:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Pass:
     """One call of the path solver for a view."""
 
@@ -125,7 +125,7 @@ def plan_passes(settings: RayTracingSettings) -> list[_Pass]:
     return passes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Beam:
     """The antennas of one view: pattern, transmitter [3] and receiver [3] in metres, boresight [3]."""
 

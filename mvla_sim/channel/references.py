@@ -15,7 +15,7 @@ from mvla_sim.dsp import Window, range_profiles
 from mvla_sim.errors import ConfigError, DataError
 
 __all__ = [
-    "Calibration",
+    "ReferenceCalibration",
     "Subtraction",
     "calibrate",
     "echo_gain",
@@ -46,7 +46,7 @@ class Subtraction(NamedTuple):
     residual_db: NDArray[np.float64]
 
 
-class Calibration(NamedTuple):
+class ReferenceCalibration(NamedTuple):
     """Sweeps whose levels are path gains and whose delays start at the antennas.
 
     Attributes
@@ -156,7 +156,7 @@ def calibrate(
     settings: ReferenceSettings,
     start_hz: float,
     step_hz: float,
-) -> Calibration:
+) -> ReferenceCalibration:
     """Take out of every view the delay and the gain that a target of known range and echo shows.
 
     Parameters
@@ -191,7 +191,7 @@ def calibrate(
     carrier = float(frequency[0] + frequency[-1]) / 2
     offset = delay - float(range_to_delay(settings.range_m))
     gain = echo_gain(settings.kind, settings.range_m, settings.radius_m, carrier) / amplitude
-    return Calibration(response * (gain * np.exp(2j * np.pi * frequency * offset)), offset, gain)
+    return ReferenceCalibration(response * (gain * np.exp(2j * np.pi * frequency * offset)), offset, gain)
 
 
 def echo_gain(kind: str, range_m: float, radius_m: float | None, carrier_hz: float) -> float:

@@ -1,4 +1,4 @@
-"""A synthetic measurement campaign: what a network analyser in a chamber would sweep of a traced channel."""
+"""A synthetic measurement: what a network analyser in a chamber would sweep of a traced channel."""
 
 from __future__ import annotations
 
@@ -6,23 +6,27 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 
 from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.readers.touchstone import write_touchstone
 from mvla_sim.channel.references import echo_gain
 from mvla_sim.channel.response import FrequencyResponse
-from mvla_sim.channel.synthesis_settings import EchoSettings, SynthesisSettings
 from mvla_sim.constants import range_to_delay
 from mvla_sim.dsp import path_spectrum
 from mvla_sim.errors import ConfigError, DataError, OutputError
 from mvla_sim.memory import check_memory
 from mvla_sim.scene.antenna import build_antenna
+from mvla_sim.settings import Settings
 from mvla_sim.streams import Stream, stream
 
-__all__ = ["BACKGROUND_FILE", "REFERENCE_FILE", "Campaign", "synthesize", "write_campaign"]
+__all__ = [
+    "BACKGROUND_FILE", "REFERENCE_FILE", "EchoSettings", "SweepSet", "SynthesisSettings", "synthesize", "write_sweeps",
+]  # fmt: skip
 
 BACKGROUND_FILE = "background.s2p"
 REFERENCE_FILE = "reference.s2p"
@@ -33,8 +37,34 @@ _PORT_REFLECTION = 0.1
 """S11 and S22, −20 dB: a passable match."""
 
 
-@dataclass(frozen=True)
-class Campaign:
+class EchoSettings(Settings):
+    """A static echo of the chamber: the same in every sweep, with and without the target."""
+
+    range_m: PositiveFloat = Field(description="one-way range")
+    gain_db: float = Field(description="path gain")
+
+
+class SynthesisSettings(Settings):
+    """A VNA sweep a view: leakage, static echoes, thermal noise, drift, cable delay and gain of the set-up."""
+
+    points: Annotated[int, Field(ge=2, le=100_001, description="frequencies over the scene's band, both ends")] = 1601
+    snr_db: float = Field(
+        30.0, description="mean power of the target's echoes over that of the noise, a frequency point, mean of views"
+    )
+    random_phase: bool = Field(True, description="each sweep has a phase of its own, uniform in 0 to 2π")
+    leakage: EchoSettings = Field(
+        EchoSettings(range_m=0.3, gain_db=-55.0), description="from antenna to antenna, besides the target"
+    )
+    echoes: tuple[EchoSettings, ...] = Field((), description="static echoes of the chamber and of the turntable")
+    cable_delay_s: NonNegativeFloat = Field(0.0, description="delay of cables, in every sweep")
+    system_gain_db: float = Field(0.0, description="gain of amplifiers and cables, in every sweep")
+    reference_range_m: PositiveFloat | None = Field(None, description="also sweep a metal sphere at this range")
+    reference_radius_m: PositiveFloat = Field(0.15, description="radius of that sphere")
+    seed: NonNegativeInt = 0
+
+
+@dataclass(frozen=True, eq=False)
+class SweepSet:
     """Sweeps of a target from M views, of the empty chamber, and of a reference target.
 
     Attributes
@@ -68,7 +98,7 @@ class Campaign:
         return self.sweeps.step_hz
 
 
-def synthesize(cir: Cir, settings: SynthesisSettings) -> Campaign:
+def synthesize(cir: Cir, settings: SynthesisSettings) -> SweepSet:
     """Sweep a traced channel as a network analyser would.
 
     Parameters
@@ -80,7 +110,7 @@ def synthesize(cir: Cir, settings: SynthesisSettings) -> Campaign:
 
     Returns
     -------
-    Campaign
+    SweepSet
         The same for the same seed, whatever else was computed before.
 
     Raises
@@ -143,19 +173,19 @@ def synthesize(cir: Cir, settings: SynthesisSettings) -> Campaign:
         provenance=cir.provenance,
     )
     background = measure(np.zeros(settings.points, np.complex128), _BACKGROUND, 0)
-    return Campaign(sweeps, background, reference, noise_power, settings.seed)
+    return SweepSet(sweeps, background, reference, noise_power, settings.seed)
 
 
-def write_campaign(
-    campaign: Campaign, folder: str | os.PathLike[str], prefix: str, angles_deg: Sequence[float] | NDArray[np.float64]
+def write_sweeps(
+    measured: SweepSet, folder: str | os.PathLike[str], prefix: str, angles_deg: Sequence[float] | NDArray[np.float64]
 ) -> list[Path]:
-    """Write a campaign as Touchstone files of two ports: ``<prefix>_<angle>deg.s2p`` a view, and background, reference.
+    """Write sweeps as Touchstone files of two ports: ``<prefix>_<angle>deg.s2p`` a view, and background, reference.
 
     S21 = S12 is the channel; S11 and S22 are the reflection of the ports, −20 dB with noise.
 
     Parameters
     ----------
-    campaign
+    measured
         What was measured.
     folder
         Where to; it is made if it is missing. It may hold no other sweeps, which would be read as views.
@@ -182,22 +212,22 @@ def write_campaign(
     place = Path(folder)
     if not prefix or Path(prefix).name != prefix or "\\" in prefix or prefix.startswith("."):
         raise ConfigError(f"prefix = '{prefix}': allowed: the first part of a file's name, without '/'")
-    names = _names(prefix, np.asarray(angles_deg, np.float64), campaign.sweeps.n_view)
-    channels = [*campaign.sweeps.response, campaign.background]
+    names = _names(prefix, np.asarray(angles_deg, np.float64), measured.sweeps.n_view)
+    channels = [*measured.sweeps.response, measured.background]
     keys = [(_VIEW, view) for view in range(len(names))] + [(_BACKGROUND, 0)]
     names.append(BACKGROUND_FILE)
-    if campaign.reference is not None:
-        channels.append(campaign.reference)
+    if measured.reference is not None:
+        channels.append(measured.reference)
         keys.append((_REFERENCE, 0))
         names.append(REFERENCE_FILE)
     _make_folder(place, set(names))
-    frequency = campaign.sweeps.frequency_hz
+    frequency = measured.sweeps.frequency_hz
     for name, channel, key in zip(names, channels, keys, strict=True):
-        random = stream(campaign.seed, Stream.MEASUREMENT, *key, _PORTS)
+        random = stream(measured.seed, Stream.MEASUREMENT, *key, _PORTS)
         s = np.empty((len(channel), 2, 2), np.complex128)
         s[:, 0, 1] = s[:, 1, 0] = channel
-        s[:, 0, 0] = _PORT_REFLECTION + _noise(random, campaign.noise_power, channel.shape)
-        s[:, 1, 1] = _PORT_REFLECTION + _noise(random, campaign.noise_power, channel.shape)
+        s[:, 0, 0] = _PORT_REFLECTION + _noise(random, measured.noise_power, channel.shape)
+        s[:, 1, 1] = _PORT_REFLECTION + _noise(random, measured.noise_power, channel.shape)
         write_touchstone(place / name, frequency, s)
     return [place / name for name in names]
 

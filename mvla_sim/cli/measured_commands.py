@@ -61,16 +61,15 @@ def synthesize(
 ) -> None:
     """Write a CIR as a laboratory's sweeps: noise, drifting phase, leakage, static echoes; one .s2p file a view."""
     from mvla_sim.channel.cir import Cir
+    from mvla_sim.channel.synthesis import SynthesisSettings, write_sweeps
     from mvla_sim.channel.synthesis import synthesize as measure
-    from mvla_sim.channel.synthesis import write_campaign
-    from mvla_sim.channel.synthesis_settings import SynthesisSettings
     from mvla_sim.files import make_folder
     from mvla_sim.settings import apply_overrides, parse
 
     settings = parse(SynthesisSettings, apply_overrides({}, overrides or []), "synthesis settings")
     cir = Cir.load(cir_file)
     name = str(cir.config.get("name", cir_file.stem))
-    files = write_campaign(measure(cir, settings), make_folder(output), name, cir.views.angles_deg)
+    files = write_sweeps(measure(cir, settings), make_folder(output), name, cir.views.angles_deg)
     say(f"{output}: {len(files)} Touchstone files; angles are those of the sensor")
 
 

@@ -140,7 +140,8 @@ class BenchmarkDataset:
     def to_xarray(self) -> xr.DataTree:
         """Labelled arrays, a node a shard as in its file, and the split of each sample; nothing is loaded.
 
-        Shards without a sample of this split are left out; the others hold all of theirs. Close it when done.
+        A node has the samples of this split alone, with their views and paths, and a shard without any is left out.
+        Samples that could not be made are of no split, and in all. Close it when done.
 
         Raises
         ------
@@ -151,9 +152,15 @@ class BenchmarkDataset:
         nodes: dict[str, xr.Dataset] = {}
         for shard in shards:
             reader = self._reader(shard)  # checks the file
+            rows = np.flatnonzero(np.isin(reader.samples, self.numbers))
+            part = rows.size < reader.samples.size  # picked from blocks: HDF5 itself is slow at picking
             with reader.explained():
-                lazy = xr.open_dataset(self.index.file(shard), engine="h5netcdf", decode_cf=False)
-            splits = [split_of(self.campaign, int(number)) for number in reader.samples]
+                lazy = xr.open_dataset(
+                    self.index.file(shard), engine="h5netcdf", decode_cf=False, chunks={} if part else None
+                )
+            if part:
+                lazy = lazy.isel(reader.places(rows))
+            splits = [split_of(self.campaign, int(number)) for number in reader.samples[rows]]
             nodes[Path(self.index.shards[shard].name).stem] = lazy.assign_coords(split=("sample", splits))
         return xr.DataTree.from_dict(nodes, name=self.campaign.name)
 

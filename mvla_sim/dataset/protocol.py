@@ -39,7 +39,7 @@ FIXED: Final = ("method", "grid", "noise", "views", "threshold")
 """Blocks of settings that are the protocol's."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Attempt:
     """What a method made of a sample.
 

@@ -38,7 +38,7 @@ from mvla_sim.evaluation.ground_truth import check_inside
 from mvla_sim.files import existing_file
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.netcdf import check_heaps
-from mvla_sim.ragged import row_starts
+from mvla_sim.ragged import Rows
 from mvla_sim.scene.scene_settings import SceneSettings
 from mvla_sim.settings import parse
 
@@ -131,6 +131,11 @@ class ShardReader:
             raise DataError(f"{self.file}: holds no sample {number}")
         return row
 
+    def places(self, rows: NDArray[np.intp]) -> dict[str, NDArray[np.int64]]:
+        """Indices of some samples, of their views and of their paths, by dimension."""
+        views = self._views.elements(rows)
+        return {"sample": np.asarray(rows, np.int64), "view": views, "path": self._paths.elements(views)}
+
     def sample(self, row: int) -> Made:
         """Read and check the sample at an index.
 
@@ -139,8 +144,8 @@ class ShardReader:
         DataError
             It is damaged or inconsistent.
         """
-        views = slice(int(self._view_start[row]), int(self._view_start[row + 1]))
-        paths = slice(int(self._path_start[views.start]), int(self._path_start[views.stop]))
+        views = self._views.rows(row)
+        paths = slice(int(self._paths.row_start[views.start]), int(self._paths.row_start[views.stop]))
         with self.explained():
             metadata = self._metadata(row)
             occupancy = np.asarray(self._handle["occupancy"][row], np.uint8)
@@ -150,11 +155,11 @@ class ShardReader:
 
     def metadata(self, row: int) -> dict[str, Any]:
         """The metadata of the sample at an index, and its numbers of views and paths."""
-        views = slice(int(self._view_start[row]), int(self._view_start[row + 1]))
+        views = self._views.rows(row)
         with self.explained():
             return self._metadata(row) | {
                 "views": views.stop - views.start,
-                "paths": int(self._path_start[views.stop] - self._path_start[views.start]),
+                "paths": int(self._paths.row_size[views].sum()),
                 "extent_m": float(self._handle["target_extent"][row]),
             }
 
@@ -265,7 +270,7 @@ class ShardReader:
         for name, sizes, total in (("view_count", view_count, views), ("row_size", row_size, paths)):
             if (sizes < 0).any() or int(sizes.sum()) != total:
                 raise DataError(f"{name} adds up to {sizes.sum()}, the file holds {total}")
-        self._view_start, self._path_start = row_starts(view_count), row_starts(row_size)
+        self._views, self._paths = Rows(view_count), Rows(row_size)
 
     def _number(self, name: str) -> Any:
         """A number among the attributes; NetCDF knows them as arrays of one."""

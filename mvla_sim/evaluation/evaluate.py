@@ -23,7 +23,7 @@ from mvla_sim.imaging.threshold import joint_threshold, top_count
 __all__ = ["Evaluation", "evaluate", "ground_truth"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Evaluation:
     """How well an image fits its ground truth.
 

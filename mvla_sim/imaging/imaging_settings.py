@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from mvla_sim.channel.impairment_settings import ImpairmentSettings
+from mvla_sim.channel.impairments import ImpairmentSettings
 from mvla_sim.grid import GridSettings
 from mvla_sim.settings import Settings, apply_overrides, assign, parse
 

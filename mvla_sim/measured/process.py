@@ -22,8 +22,7 @@ from mvla_sim.channel.loading import Channel
 from mvla_sim.channel.readers.import_settings import ImportSettings, resolve_files
 from mvla_sim.channel.readers.importing import import_channel
 from mvla_sim.channel.simulate import simulate
-from mvla_sim.channel.synthesis import synthesize, write_campaign
-from mvla_sim.channel.synthesis_settings import SynthesisSettings
+from mvla_sim.channel.synthesis import SynthesisSettings, synthesize, write_sweeps
 from mvla_sim.errors import ConfigError, OutputError
 from mvla_sim.evaluation.boxes import Box, bounding_box, box_of_outline, largest_parts
 from mvla_sim.evaluation.evaluate import Evaluation, evaluate
@@ -239,7 +238,7 @@ def _measured(settings: MeasurementSettings, source: ImportSettings, folder: Pat
         if trajectory.heights_m is not None:
             raise ConfigError(f"{settings.scene}: trajectory.heights_m: one file an angle cannot hold several heights")
         angles = np.asarray(trajectory.interval_deg * np.arange(whole_turn(trajectory.interval_deg)), np.float64)
-    write_campaign(campaign, sweeps, scene.name, angles)
+    write_sweeps(campaign, sweeps, scene.name, angles)
     chosen = source.sweeps
     update: dict[str, Any] = {}
     if chosen.background is not None:

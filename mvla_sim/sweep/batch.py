@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.channel.impairment_settings import ImpairmentSettings
-from mvla_sim.channel.impairments import assumed_views, impair
+from mvla_sim.channel.impairments import ImpairmentSettings, assumed_views, impair
 from mvla_sim.errors import reason
 from mvla_sim.evaluation.candidates import pack_table
 from mvla_sim.evaluation.evaluate import Evaluation, evaluate, ground_truth

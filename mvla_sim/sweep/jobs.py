@@ -6,7 +6,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from mvla_sim.channel.impairment_settings import ImpairmentSettings
+from mvla_sim.channel.impairments import ImpairmentSettings
 from mvla_sim.channel.simulate import cache_file, simulate
 from mvla_sim.engine.cache import cache_folder, is_shared, pull, push
 from mvla_sim.errors import DataError, OutputError

@@ -9,8 +9,7 @@ import pytest
 
 from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.components import Components
-from mvla_sim.channel.impairment_settings import ImpairmentSettings
-from mvla_sim.channel.impairments import assumed_views, impair, impair_channel, remaining_views
+from mvla_sim.channel.impairments import ImpairmentSettings, assumed_views, impair, impair_channel, remaining_views
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.constants import SPEED_OF_LIGHT, range_to_delay
 from mvla_sim.errors import ConfigError

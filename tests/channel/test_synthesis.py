@@ -13,8 +13,7 @@ from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.readers.import_settings import BackgroundSettings, ReferenceSettings, SweepSettings
 from mvla_sim.channel.readers.touchstone import read_folder, read_touchstone
 from mvla_sim.channel.references import calibrate, echo_gain, find_peak, subtract_background
-from mvla_sim.channel.synthesis import synthesize, write_campaign
-from mvla_sim.channel.synthesis_settings import EchoSettings, SynthesisSettings
+from mvla_sim.channel.synthesis import EchoSettings, SynthesisSettings, synthesize, write_sweeps
 from mvla_sim.constants import delay_to_range, range_to_delay
 from mvla_sim.errors import ConfigError, DataError, OutputError
 from mvla_sim.scene.antenna import build_antenna
@@ -169,7 +168,7 @@ def test_channels_that_cannot_be_swept_are_refused():
 def test_files_hold_the_sweeps_exactly(tmp_path):
     campaign = synthesize(random_cir(2, 5), chosen(snr_db=15, reference_range_m=5.0))
     angles = [0.0, 10.0, 20.5, 100.0, -5.0]
-    files = write_campaign(campaign, tmp_path / "made", "car", angles)
+    files = write_sweeps(campaign, tmp_path / "made", "car", angles)
     assert [file.name for file in files] == [
         "car_000.0deg.s2p", "car_010.0deg.s2p", "car_020.5deg.s2p", "car_100.0deg.s2p", "car_-05.0deg.s2p",
         "background.s2p", "reference.s2p",
@@ -184,7 +183,7 @@ def test_files_hold_the_sweeps_exactly(tmp_path):
             assert abs(s[:, port, port].mean()) == pytest.approx(0.1, abs=0.05)
             assert np.ptp(s[:, port, port].real) > 0
         assert (s[:, 0, 0] != s[:, 1, 1]).all()
-    assert write_campaign(campaign, tmp_path / "made", "car", angles) == files  # again over its own
+    assert write_sweeps(campaign, tmp_path / "made", "car", angles) == files  # again over its own
 
 
 @pytest.mark.parametrize(
@@ -197,7 +196,7 @@ def test_files_hold_the_sweeps_exactly(tmp_path):
 )
 def test_names_say_the_whole_angle(tmp_path, angles, names):
     campaign = synthesize(point_cir(views=3), chosen(points=201))
-    assert [file.name for file in write_campaign(campaign, tmp_path, "x", angles)] == [*names, "background.s2p"]
+    assert [file.name for file in write_sweeps(campaign, tmp_path, "x", angles)] == [*names, "background.s2p"]
     read = read_folder(SweepSettings(background=BackgroundSettings(file=str(tmp_path / "background.s2p"))), tmp_path)
     np.testing.assert_allclose(read.angles_deg, angles, atol=1e-6)
 
@@ -213,16 +212,16 @@ def test_what_cannot_be_written_is_refused_before_anything_is(tmp_path):
         ([0, 10, np.nan], "3 finite angles"),
     ):
         with pytest.raises(DataError, match=match):
-            write_campaign(campaign, tmp_path, "x", angles)
+            write_sweeps(campaign, tmp_path, "x", angles)
     for prefix in ("", "../x", "a/b", "a\\b", ".", "..", ".x"):
         with pytest.raises(ConfigError, match="prefix = "):
-            write_campaign(campaign, tmp_path, prefix, [0, 1, 2])
+            write_sweeps(campaign, tmp_path, prefix, [0, 1, 2])
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "x_003.0deg.s2p").write_text("an older view")
     with pytest.raises(OutputError, match=r"holds other sweeps, such as x_003.0deg.s2p"):
-        write_campaign(campaign, tmp_path, "x", [0, 1, 2])
+        write_sweeps(campaign, tmp_path, "x", [0, 1, 2])
     with pytest.raises(OutputError, match="cannot be written"):
-        write_campaign(campaign, tmp_path / "x_003.0deg.s2p", "x", [0, 1, 2])
+        write_sweeps(campaign, tmp_path / "x_003.0deg.s2p", "x", [0, 1, 2])
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -241,7 +240,7 @@ def test_a_campaign_leads_back_to_the_channel(tmp_path, seed):
             echoes=(EchoSettings(range_m=9.0, gain_db=-78.0),),
         ),
     )  # fmt: skip
-    write_campaign(campaign, tmp_path, "car", cir.views.angles_deg)
+    write_sweeps(campaign, tmp_path, "car", cir.views.angles_deg)
     sweeps = SweepSettings(
         background=BackgroundSettings(file=str(tmp_path / "background.s2p"), align_m=(3.5, 4.1)),
         reference=ReferenceSettings(

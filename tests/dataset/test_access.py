@@ -117,9 +117,28 @@ def test_labelled_arrays_are_lazy(built):
         gain = (first["gain_real"] + 1j * first["gain_imag"])[start : start + sample.cir.gain.size]
         assert np.array_equal(gain.values, sample.cir.gain)
         assert np.array_equal(first["position"][views].values, sample.cir.views.positions_m)
-    test = open_dataset(folder, "test")
-    with test.to_xarray() as tree:
-        assert {int(name[-5:]) for name in tree.children} == {number // 4 for number in test.numbers}
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_labelled_arrays_of_a_split_hold_nothing_of_another(built, split):
+    """The paths of the split's samples, one after another, and no more."""
+    dataset = open_dataset(built[1], split)
+    with dataset.to_xarray() as tree:
+        assert {int(name[-5:]) for name in tree.children} == {number // 4 for number in dataset.numbers}
+        nodes = [tree[name].dataset for name in sorted(tree.children)]
+        assert not any(node["gain_real"].variable._in_memory for node in nodes)
+        assert [number for node in nodes for number in node["sample"].values] == list(dataset.numbers)
+        assert {str(item) for node in nodes for item in node["split"].values} == {split}
+        samples = list(dataset)
+        for name, wanted in (
+            ("view_count", [[sample.cir.n_view] for sample in samples]),
+            ("row_size", [sample.cir.row_size for sample in samples]),
+            ("delay", [sample.cir.delay_s for sample in samples]),
+            ("position", [sample.cir.views.positions_m for sample in samples]),
+            ("occupancy", [sample.occupancy[None] for sample in samples]),
+        ):
+            found = np.concatenate([node[name].values for node in nodes])
+            np.testing.assert_array_equal(found, np.concatenate(wanted))
 
 
 def read_in_child(dataset, queue):
@@ -383,3 +402,14 @@ def test_a_part_of_a_dataset_can_be_used(copy):
     assert dataset.numbers == (4, 5, 6, 7)
     assert not dataset.index.complete
     assert shapely.get_parts(dataset[0].outline).size >= 1
+
+
+def test_a_heap_that_never_ends_is_refused(copy):
+    """Texts lie in heaps without a checksum; HDF5 itself would walk on the spot for ever in one that is damaged so."""
+    file = copy / "shard-00000.nc"
+    content = bytearray(file.read_bytes())
+    heap = content.index(b"GCOL")
+    content[heap + 16 : heap + 32] = bytes(16)  # its first object: index 0, size 0
+    file.write_bytes(content)
+    with pytest.raises(DataError, match=r"shard-00000\.nc: not a readable NetCDF-4 file"):
+        open_dataset(copy)[0]

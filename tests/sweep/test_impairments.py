@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from sweep_files import experiment
 
-from mvla_sim.channel.impairment_settings import ImpairmentSettings
+from mvla_sim.channel.impairments import ImpairmentSettings
 from mvla_sim.channel.simulate import cache_file, simulate
 from mvla_sim.evaluation.evaluate import evaluate
 from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings, imaging_settings

@@ -76,7 +76,7 @@ class ArrayEntry:
 Entries = dict[str, ArrayEntry]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArrayFile:
     """The named arrays of a file.
 

@@ -20,7 +20,7 @@ UNEVENNESS: Final = 1e-4
 """How far a value of an axis may be from where even steps put it, in steps."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArrayData:
     """Measured responses of every view.
 

@@ -52,7 +52,7 @@ _PER_VIEW: Final = ("angle_deg", *PLACE, *RECEIVER)
 _MEMORY_A_BYTE: Final = 30  # of the text, whose words take some 50 bytes each while they are read
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ComponentTable:
     """Components view after view, within a view by rising range.
 

@@ -34,7 +34,7 @@ __all__ = ["import_channel", "source_kind"]
 _ARRAYS = (".mat", ".npz", ".h5", ".hdf5", ".nc")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Place:
     """What data say about where they were measured: angles ``[n_view]``, or positions and receivers ``[n_view, 3]``."""
 

@@ -24,7 +24,7 @@ _LARGEST_GAIN: Final = 1e10
 """Beyond these a file is damaged or in other units, and squares of its numbers could leave the range of float32."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PairPaths:
     """Paths between pairs of transmitter and receiver; pair after pair, within a pair by rising delay.
 

@@ -33,7 +33,7 @@ _FORMATS = ("ri", "ma", "db")
 _UNPARSED = (ValueError, TypeError, IndexError, KeyError, AttributeError, ArithmeticError, MemoryError)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sweep:
     """One S-parameter at uniform frequencies.
 
@@ -72,7 +72,7 @@ class FolderSweeps(NamedTuple):
     response: NDArray[np.complex128]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Content:
     """A Touchstone file without comments: its text, data lines (number in the file, text) and declared ports."""
 
