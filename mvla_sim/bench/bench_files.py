@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from mvla_sim.bench.cost_tables import axis_tables, cost_lines, estimate_lines, frame, markdown
-from mvla_sim.bench.estimate import Costs, Estimate
+from mvla_sim.bench.estimate import Costs, CostForecast
 from mvla_sim.bench.measure import ALONE
-from mvla_sim.bench.stages import Row
+from mvla_sim.bench.stages import TimedPoint
 from mvla_sim.engine.machine import core_count, cpu_name
 from mvla_sim.engine.provenance import provenance
 from mvla_sim.files import atomic_output
@@ -22,7 +22,7 @@ FILES: Final = ("bench.json", "bench.csv", "bench.md")
 
 
 def write_bench(
-    folder: Path, rows: Sequence[Row], costs: Costs | None, found: Estimate | None, *, quick: bool = False
+    folder: Path, rows: Sequence[TimedPoint], costs: Costs | None, found: CostForecast | None, *, quick: bool = False
 ) -> list[Path]:
     """Write the three files, each at once or not at all, and return their names.
 
@@ -62,7 +62,7 @@ def write_bench(
     return [folder / name for name in contents]
 
 
-def _page(rows: Sequence[Row], costs: Costs | None, found: Estimate | None, *, quick: bool) -> str:
+def _page(rows: Sequence[TimedPoint], costs: Costs | None, found: CostForecast | None, *, quick: bool) -> str:
     """All tables and the estimate in Markdown."""
     text = [
         "# What things cost\n",

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from mvla_sim.bench.estimate import Costs, Estimate, rows_along
+from mvla_sim.bench.estimate import CostForecast, Costs, rows_along
 from mvla_sim.bench.fit import fit_affine, fit_power_law
-from mvla_sim.bench.stages import SIZES, Row
+from mvla_sim.bench.stages import SIZES, TimedPoint
 
 __all__ = ["AxisTable", "axis_tables", "cost_lines", "estimate_lines", "frame", "markdown"]
 
@@ -38,7 +38,7 @@ class AxisTable:
     law: str
 
 
-def frame(rows: Sequence[Row]) -> pd.DataFrame:
+def frame(rows: Sequence[TimedPoint]) -> pd.DataFrame:
     """One row a point: stage, series, every size (NaN where it has none), seconds, rate, memory, and its facts."""
     data = [
         {
@@ -62,7 +62,7 @@ def frame(rows: Sequence[Row]) -> pd.DataFrame:
     return pd.DataFrame(data)
 
 
-def axis_tables(rows: Sequence[Row]) -> Iterator[AxisTable]:
+def axis_tables(rows: Sequence[TimedPoint]) -> Iterator[AxisTable]:
     """Tables of every series along each of its axes."""
     for series in dict.fromkeys((row.series.stage, row.series.name) for row in rows):
         first = next(row.series for row in rows if (row.series.stage, row.series.name) == series)
@@ -96,7 +96,7 @@ def cost_lines(costs: Costs) -> list[str]:
     ]
 
 
-def estimate_lines(found: Estimate) -> list[str]:
+def estimate_lines(found: CostForecast) -> list[str]:
     """The estimate, one line a figure; assumptions last."""
     campaign = found.campaign
     lines = [
@@ -118,7 +118,7 @@ def estimate_lines(found: Estimate) -> list[str]:
     return lines
 
 
-def _cells(row: Row, axis: str) -> tuple[str, ...]:
+def _cells(row: TimedPoint, axis: str) -> tuple[str, ...]:
     measured = row.measured
     return (
         f"{row.size[axis]:,.0f}",
@@ -131,7 +131,7 @@ def _cells(row: Row, axis: str) -> tuple[str, ...]:
     )
 
 
-def _law(rows: Sequence[Row], axis: str) -> str:
+def _law(rows: Sequence[TimedPoint], axis: str) -> str:
     sizes = [row.size[axis] for row in rows]
     if len(set(sizes)) < 2 or axis == "workers":
         return ""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from mvla_sim.bench.fit import Affine, PowerLaw, fit_affine, fit_power_law
-from mvla_sim.bench.stages import STAGES, Row
+from mvla_sim.bench.stages import STAGES, TimedPoint
 from mvla_sim.errors import ConfigError, DataError
 
-__all__ = ["Campaign", "Costs", "Estimate", "StageCost", "costs_from", "estimate", "rows_along"]
+__all__ = ["CostForecast", "CostScenario", "Costs", "StageCost", "costs_from", "estimate", "rows_along"]
 
 TASKS_PER_SCENE: Final = 3
 """Trace it, make its profiles, run its case."""
@@ -19,7 +19,7 @@ SWEEP_VOXELS: Final = 40_000
 
 
 @dataclass(frozen=True)
-class Campaign:
+class CostScenario:
     """What is to be computed, and on what.
 
     Attributes
@@ -136,7 +136,7 @@ class StageCost:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class CostForecast:
     """What a campaign takes.
 
     Attributes
@@ -157,7 +157,7 @@ class Estimate:
         What was taken for granted, one sentence each.
     """
 
-    campaign: Campaign
+    campaign: CostScenario
     stages: tuple[StageCost, ...]
     computing_hours: float
     coordinating_hours: float
@@ -174,7 +174,7 @@ class Estimate:
         return max(self.computing_hours, self.coordinating_hours)
 
 
-def rows_along(rows: Sequence[Row], stage: str, name: str, axis: str) -> list[Row]:
+def rows_along(rows: Sequence[TimedPoint], stage: str, name: str, axis: str) -> list[TimedPoint]:
     """Rows of a series in which only ``axis`` differs from the base, by its value."""
     found = [row for row in rows if (row.series.stage, row.series.name) == (stage, name)]
     others = [
@@ -183,7 +183,7 @@ def rows_along(rows: Sequence[Row], stage: str, name: str, axis: str) -> list[Ro
     return sorted(others, key=lambda row: row.size[axis])
 
 
-def costs_from(rows: Sequence[Row]) -> Costs:
+def costs_from(rows: Sequence[TimedPoint]) -> Costs:
     """Fit the cost models.
 
     Raises
@@ -244,7 +244,7 @@ def costs_from(rows: Sequence[Row]) -> Costs:
     )
 
 
-def estimate(costs: Costs, campaign: Campaign | None = None) -> Estimate:
+def estimate(costs: Costs, campaign: CostScenario | None = None) -> CostForecast:
     """Extrapolate to a campaign: every scene is traced, imaged with MVLA-GR, and scored at the best thresholds.
 
     Parameters
@@ -254,7 +254,7 @@ def estimate(costs: Costs, campaign: Campaign | None = None) -> Estimate:
     campaign
         By default 10⁶ scenes from 360 views on 64 nodes of 32 cores.
     """
-    campaign = campaign or Campaign()
+    campaign = campaign or CostScenario()
     views, voxels = campaign.views, campaign.voxels
     per_scene = {
         "tracing": costs.trace(views),
@@ -271,7 +271,7 @@ def estimate(costs: Costs, campaign: Campaign | None = None) -> Estimate:
     bound = "coordination" if coordinating > computing else max(stages, key=lambda stage: stage.hours).name
     disk = campaign.scenes * views * costs.paths_per_view * costs.disk_bytes_per_path
     worker = costs.loaded_bytes + max(costs.compiling_bytes, costs.trace_bytes(views), costs.pdp_bytes(views))
-    return Estimate(
+    return CostForecast(
         campaign=campaign,
         stages=stages,
         computing_hours=computing,
@@ -285,7 +285,7 @@ def estimate(costs: Costs, campaign: Campaign | None = None) -> Estimate:
     )
 
 
-def _assumptions(costs: Costs, campaign: Campaign) -> tuple[str, ...]:
+def _assumptions(costs: Costs, campaign: CostScenario) -> tuple[str, ...]:
     quiet = (
         ()
         if not costs.disturbed
@@ -315,13 +315,13 @@ def _assumptions(costs: Costs, campaign: Campaign) -> tuple[str, ...]:
     )
 
 
-def _affine(rows: Sequence[Row], axis: str) -> Affine:
+def _affine(rows: Sequence[TimedPoint], axis: str) -> Affine:
     return fit_affine([row.size[axis] for row in rows], [row.measured.core_s for row in rows])
 
 
-def _memory(rows: Sequence[Row], axis: str) -> Affine:
+def _memory(rows: Sequence[TimedPoint], axis: str) -> Affine:
     return fit_affine([row.size[axis] for row in rows], [max(1.0, row.measured.steady_bytes) for row in rows])
 
 
-def _law(rows: Sequence[Row], axis: str) -> PowerLaw:
+def _law(rows: Sequence[TimedPoint], axis: str) -> PowerLaw:
     return fit_power_law([row.size[axis] for row in rows], [row.measured.core_s for row in rows])

@@ -14,7 +14,7 @@ from mvla_sim.errors import ConfigError
 from mvla_sim.interrupt import interruptible
 from mvla_sim.progress import progress
 
-__all__ = ["SIZES", "STAGES", "Point", "Row", "Series", "measure_stages", "points_of", "series_of"]
+__all__ = ["SIZES", "STAGES", "Point", "Series", "TimedPoint", "measure_stages", "points_of", "series_of"]
 
 STAGES: Final = ("tracing", "projection", "search", "sweep")
 SIZES: Final = ("rays", "views", "facets", "voxels", "thresholds", "workers", "cases", "tasks")
@@ -84,7 +84,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Row:
+class TimedPoint:
     """One point with what was measured."""
 
     series: Series
@@ -128,7 +128,7 @@ def points_of(stages: Sequence[str], *, quick: bool = False) -> list[Point]:
     return [Point(one, size) for one in chosen for size in one.sizes()]
 
 
-def measure_stages(stages: Sequence[str] = STAGES, *, quick: bool = False) -> list[Row]:
+def measure_stages(stages: Sequence[str] = STAGES, *, quick: bool = False) -> list[TimedPoint]:
     """Measure every point of the stages, one after the other.
 
     Quick points share one folder of compiled kernels, so only the first of them shows how long compiling takes.
@@ -149,7 +149,9 @@ def measure_stages(stages: Sequence[str] = STAGES, *, quick: bool = False) -> li
     ):
         kernels = Path(name) / "kernels" if quick else None
         for point in points:
-            rows.append(Row(point.series, point.size, measure(point.work, kernels=kernels, cache=Path(name) / "cache")))
+            rows.append(
+                TimedPoint(point.series, point.size, measure(point.work, kernels=kernels, cache=Path(name) / "cache"))
+            )
             advance(1)
     return rows
 

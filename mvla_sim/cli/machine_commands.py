@@ -61,13 +61,13 @@ def bench(
     """Measure how cost grows with rays, views, facets, voxels, thresholds and workers; estimate a large campaign."""
     from mvla_sim.bench.bench_files import FILES, disturbed_note, write_bench
     from mvla_sim.bench.cost_tables import axis_tables, cost_lines, estimate_lines
-    from mvla_sim.bench.estimate import Campaign, costs_from, estimate
+    from mvla_sim.bench.estimate import CostScenario, costs_from, estimate
     from mvla_sim.bench.stages import STAGES, measure_stages, series_of
     from mvla_sim.engine.machine import core_count, cpu_name
     from mvla_sim.files import check_writable, make_folder
     from mvla_sim.interrupt import interruptible
 
-    campaign = Campaign(scenes=scenes, views=views, nodes=nodes, cores=cores)
+    campaign = CostScenario(scenes=scenes, views=views, nodes=nodes, cores=cores)
     for name in stage or ():
         series_of(name)
     chosen = [name for name in STAGES if not stage or name in stage]

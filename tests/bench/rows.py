@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mvla_sim.bench.measure import Measured
-from mvla_sim.bench.stages import Row, points_of
+from mvla_sim.bench.stages import TimedPoint, points_of
 
 FACTS = {
     "paths_per_view": 1000.0, "memory_bytes_per_path": 29.0, "disk_bytes_per_path": 20.0,
@@ -36,6 +36,8 @@ def measured_rows(stages=("tracing", "projection", "search", "sweep"), quick=Fal
 
         memory = 10e6 + 1e6 * point.size.get("views", 0.0)
         rows.append(
-            Row(point.series, point.size, Measured(core + 5, clock, core, 3, memory + 5e6, memory, LOADED, FACTS))
+            TimedPoint(
+                point.series, point.size, Measured(core + 5, clock, core, 3, memory + 5e6, memory, LOADED, FACTS)
+            )
         )
     return rows

@@ -10,7 +10,7 @@ from rows import measured_rows
 
 from mvla_sim.bench import stages
 from mvla_sim.bench.cost_tables import axis_tables, estimate_lines, frame, markdown
-from mvla_sim.bench.estimate import Campaign, costs_from, estimate
+from mvla_sim.bench.estimate import CostScenario, costs_from, estimate
 from mvla_sim.cli.app import run as mvla
 
 
@@ -105,6 +105,6 @@ def test_a_disturbed_point_is_marked(run, monkeypatch):
 
 
 def test_the_estimate_is_told_in_units_one_can_read():
-    lines = estimate_lines(estimate(costs_from(measured_rows()), Campaign(scenes=10, views=36, nodes=1, cores=2)))
+    lines = estimate_lines(estimate(costs_from(measured_rows()), CostScenario(scenes=10, views=36, nodes=1, cores=2)))
     assert lines[0].startswith("10 scenes × 36 views on 1 node of 2 cores: ")
     assert any(line.startswith("CIR files: 7.2 MB, written at ") for line in lines)

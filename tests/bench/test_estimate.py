@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rows import LOADED, measured_rows
 
-from mvla_sim.bench.estimate import Campaign, costs_from, estimate
+from mvla_sim.bench.estimate import CostScenario, costs_from, estimate
 from mvla_sim.bench.fit import fit_affine, fit_power_law
 from mvla_sim.errors import ConfigError, DataError
 
@@ -66,7 +66,7 @@ def test_costs_are_those_of_the_rows(costs):
 
 
 def test_the_estimate_adds_up(costs):
-    campaign = Campaign(scenes=1000, views=100, nodes=2, cores=10, voxels=10_000)
+    campaign = CostScenario(scenes=1000, views=100, nodes=2, cores=10, voxels=10_000)
     found = estimate(costs, campaign)
     by_name = {stage.name: stage for stage in found.stages}
     assert by_name["tracing"].core_s == pytest.approx(20.1)
@@ -81,12 +81,12 @@ def test_the_estimate_adds_up(costs):
 
 
 def test_twice_the_scenes_take_twice_as_long_and_twice_the_nodes_half(costs):
-    one = estimate(costs, Campaign())
-    scenes = estimate(costs, Campaign(scenes=2_000_000))
+    one = estimate(costs, CostScenario())
+    scenes = estimate(costs, CostScenario(scenes=2_000_000))
     assert scenes.computing_hours == pytest.approx(2 * one.computing_hours)
     assert scenes.disk_bytes == pytest.approx(2 * one.disk_bytes)
     assert scenes.disk_bytes_per_s == pytest.approx(one.disk_bytes_per_s)
-    for more in (Campaign(nodes=128), Campaign(cores=64)):
+    for more in (CostScenario(nodes=128), CostScenario(cores=64)):
         found = estimate(costs, more)
         assert found.computing_hours == pytest.approx(one.computing_hours / 2)
         assert found.coordinating_hours == pytest.approx(one.coordinating_hours)
@@ -143,4 +143,4 @@ def test_quick_points_are_enough_for_an_estimate():
 @pytest.mark.parametrize("name", ["scenes", "views", "nodes", "cores", "voxels"])
 def test_no_empty_campaign(name):
     with pytest.raises(ConfigError, match=f"^{name} = 0; at least 1$"):
-        Campaign(**{name: 0})
+        CostScenario(**{name: 0})
