@@ -24,8 +24,9 @@ test: $(STAMP)  ## check style and types, then run every test
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n $(JOBS)
 
-bench: $(STAMP)  ## measure the speed of the kernels
-	@for script in tests/benchmarks/*.py; do echo "$$script"; $(BIN)/python "$$script" || exit 1; done
+bench: $(STAMP)  ## measure how cost grows, then against references, into results/bench
+	$(BIN)/mvla bench
+	$(BIN)/mvla bench --ratios
 
 clean:  ## delete the virtual environment and what tools left behind; results stay
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -8,15 +8,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import pandas as pd
+
 from mvla_sim.bench.cost_tables import axis_tables, cost_lines, estimate_lines, frame, markdown
-from mvla_sim.bench.estimate import Costs, CostForecast
+from mvla_sim.bench.estimate import CostForecast, Costs
 from mvla_sim.bench.measure import ALONE
+from mvla_sim.bench.ratios import Ratio
 from mvla_sim.bench.stages import TimedPoint
 from mvla_sim.engine.machine import core_count, cpu_name
 from mvla_sim.engine.provenance import provenance
 from mvla_sim.files import atomic_output
 
-__all__ = ["FILES", "disturbed_note", "write_bench"]
+__all__ = ["FILES", "disturbed_note", "write_bench", "write_ratios"]
 
 FILES: Final = ("bench.json", "bench.csv", "bench.md")
 
@@ -81,6 +84,14 @@ def _page(rows: Sequence[TimedPoint], costs: Costs | None, found: CostForecast |
         text += ["## Estimate\n", *(f"- {line}" for line in estimate_lines(found)), ""]
         text += ["Assumed:\n", *(f"{number}. {line}" for number, line in enumerate(found.assumptions, 1)), ""]
     return "\n".join(text)
+
+
+def write_ratios(folder: Path, found: Sequence[Ratio]) -> Path:
+    """Write ``ratios.csv``, one row a ratio, and return its name. Raises as :func:`write_bench`."""
+    machine = {"cpu": cpu_name(), "cores": core_count()}
+    with atomic_output(folder / "ratios.csv") as temporary:
+        pd.DataFrame([{**dataclasses.asdict(one), **machine} for one in found]).to_csv(temporary, index=False)
+    return folder / "ratios.csv"
 
 
 def disturbed_note(count: int, total: int) -> str:

@@ -10,9 +10,10 @@ import pandas as pd
 
 from mvla_sim.bench.estimate import CostForecast, Costs, rows_along
 from mvla_sim.bench.fit import fit_affine, fit_power_law
+from mvla_sim.bench.ratios import Ratio
 from mvla_sim.bench.stages import SIZES, TimedPoint
 
-__all__ = ["AxisTable", "axis_tables", "cost_lines", "estimate_lines", "frame", "markdown"]
+__all__ = ["AxisTable", "axis_tables", "cost_lines", "estimate_lines", "frame", "markdown", "ratio_line"]
 
 MIB = 2**20
 HEADER = ("first", "median", "of a core", "rate", "memory", "steady")
@@ -94,6 +95,13 @@ def cost_lines(costs: Costs) -> list[str]:
         f"make {_seconds(costs.parts_s)}",
         f"a traced view: {_seconds(costs.trace.per_unit)}",
     ]
+
+
+def ratio_line(one: Ratio) -> str:
+    """One ratio as text."""
+    took = "" if math.isnan(one.seconds) else f"{_seconds(one.seconds)}, "
+    rate = "" if math.isnan(one.rate_per_s) else f"{_rate(one.rate_per_s)} {one.unit}/s, "
+    return f"{one.stage}: {one.name}: {took}{rate}{one.ratio:.4g} × {one.against}"
 
 
 def estimate_lines(found: CostForecast) -> list[str]:

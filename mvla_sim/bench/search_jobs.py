@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
@@ -32,17 +34,20 @@ class TruthJob(Job):
 
     def __init__(self, voxels: float) -> None:
         self.grid, self.outline = grid_of(voxels), star()
-        self.truth_voxels = 0
+        self.truth_voxels, self.rasterize_s = 0, 0.0
 
     def call(self, number: int) -> None:
         """Prepare the truth."""
         del number
-        geometry = TruthGeometry.build(rasterize(self.outline, self.grid, "contour"), self.grid)
+        began = time.perf_counter()
+        truth = rasterize(self.outline, self.grid, "contour")
+        self.rasterize_s = time.perf_counter() - began
+        geometry = TruthGeometry.build(truth, self.grid)
         self.truth_voxels = geometry.voxels.size
 
     def facts(self) -> dict[str, float]:
-        """Voxels of the truth."""
-        return {"truth_voxels": float(self.truth_voxels)}
+        """Voxels of the truth, and the part of the last call that went into rasterising it, seconds."""
+        return {"truth_voxels": float(self.truth_voxels), "rasterize_s": self.rasterize_s}
 
 
 class SearchJob(Job):
@@ -56,7 +61,9 @@ class SearchJob(Job):
         Distinct values of Θ, at most.
     image
         ``contour``: a score that falls off from the contour, with speckle and clutter, and wide support near it;
-        ``unrelated``: smooth random score and support, the worst case.
+        ``half``: the same with nothing on one side, so that much of the truth is far from any voxel; ``score alone``:
+        the first without support, as backprojection is searched; ``unrelated``, ``white``: smooth and white random
+        score and support, the worst cases.
     """
 
     def __init__(self, voxels: float, thresholds: float, image: str) -> None:
@@ -65,16 +72,20 @@ class SearchJob(Job):
         self.geometry = TruthGeometry.build(truth, grid)
         rng = np.random.default_rng(1)
         smooth = _waves(grid, 2)
-        if image == "contour":
+        if image in ("contour", "half", "score alone"):
             distance = distance_transform_edt(~truth) * grid.spacing_m
             clutter = rng.random(grid.shape) < 0.02
             score = (np.exp(-distance / 0.15) + 0.05 * smooth + clutter) * rng.exponential(size=grid.shape)
             likely = np.exp(-distance / 1.5) * rng.random(grid.shape) + 0.3 * smooth
+            if image == "half":
+                score, likely = (np.where(np.linspace(0, 1, grid.counts[0]) > 0.5, one, 0.0) for one in (score, likely))
+        elif image == "white":
+            score, likely = rng.random(grid.shape), rng.random(grid.shape)
         else:
             score = smooth
             likely = _waves(grid, 3)
         self.score = np.asarray(score, np.float32)
-        self.theta = _levels(likely, round(thresholds))
+        self.theta = None if image == "score alone" else _levels(likely, round(thresholds))
 
     def call(self, number: int) -> None:
         """Search."""
@@ -83,7 +94,7 @@ class SearchJob(Job):
 
     def facts(self) -> dict[str, float]:
         """Values of Θ that occur."""
-        return {"distinct_thresholds": float(np.unique(self.theta).size)}
+        return {"distinct_thresholds": 0.0 if self.theta is None else float(np.unique(self.theta).size)}
 
 
 def _waves(grid: VoxelGrid, seed: int) -> NDArray[np.float64]:

@@ -208,9 +208,10 @@ def _search(quick: bool) -> tuple[Series, ...]:
     """The exact search for a usual and for the worst image, and what prepares a truth for it."""
     voxels = (10_000.0, 40_000.0) if quick else (10_000.0, 40_000.0, 160_000.0, 640_000.0)
     thresholds = (18.0, 72.0) if quick else (6.0, 18.0, 72.0, 360.0)
+    base = {"voxels": 40_000.0, "thresholds": 72.0}
     searches = tuple(
         Series(
-            "search", name, "mvla_sim.bench.search_jobs:SearchJob", {"voxels": 40_000, "thresholds": 72},
+            "search", name, "mvla_sim.bench.search_jobs:SearchJob", base,
             {"voxels": sizes, "thresholds": thresholds}, (), "images", {"image": image},
         )
         for image, name, sizes in (
@@ -220,7 +221,14 @@ def _search(quick: bool) -> tuple[Series, ...]:
     truth = Series(
         "search", "truth", "mvla_sim.bench.search_jobs:TruthJob", {"voxels": 40_000}, {"voxels": voxels}, (), "truths"
     )
-    return (*(searches[:1] if quick else searches), truth)
+    others = tuple(
+        Series(
+            "search", name, "mvla_sim.bench.search_jobs:SearchJob", base, {"voxels": (base["voxels"],)}, (), "images",
+            {"image": image},
+        )
+        for image, name in (("half", "half of the target"), ("score alone", "no support"), ("white", "white noise"))
+    )  # fmt: skip
+    return (searches[0], truth) if quick else (*searches, truth, *others)
 
 
 def _sweep(quick: bool) -> tuple[Series, ...]:

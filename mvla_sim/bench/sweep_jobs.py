@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import psutil
 
@@ -15,13 +17,12 @@ from mvla_sim.bench.inputs import DEFAULT_RAYS
 from mvla_sim.bench.measure import memory_of
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.cluster.opening import open_cluster
-from mvla_sim.settings import parse
-from mvla_sim.sweep.experiment import ExperimentSettings
-from mvla_sim.sweep.plan import expand
+from mvla_sim.sweep.experiment import load_experiment
+from mvla_sim.sweep.plan import Plan, expand
 from mvla_sim.sweep.run import run_plan
 from mvla_sim.sweep.schedule import tasks_of
 
-__all__ = ["HandingOutJob", "SweepJob", "nothing"]
+__all__ = ["HandingOutJob", "SweepJob", "nothing", "star_plan"]
 
 SCENE: Final = """
 name = "bench"
@@ -37,6 +38,17 @@ specular_rays = {specular}
 """
 SETTLE_S: Final = 0.05
 MOST_S: Final = 60.0
+
+
+def star_plan(folder: Path, views: float, axes: Mapping[str, Any]) -> Plan:
+    """Cases of the star at the program's defaults along some axes; its scene file is written into ``folder``."""
+    diffuse, specular = DEFAULT_RAYS
+    scene = folder / "bench.toml"
+    scene.write_text(SCENE.format(interval=360 / views, diffuse=diffuse, specular=specular), encoding="utf-8")
+    file = folder / "bench-experiment.toml"
+    lines = [f"{key} = {json.dumps(values)}" for key, values in axes.items()]
+    file.write_text("\n".join(['name = "bench"', f"scenes = [{json.dumps(str(scene))}]", "[axes]", *lines]), "utf-8")
+    return expand(load_experiment(file), limit=None)
 
 
 def nothing(seconds: float) -> None:
@@ -91,13 +103,8 @@ class SweepJob(_Workers):
 
     def __init__(self, workers: float, cases: float, views: float) -> None:
         super().__init__(workers)
-        scene = self.folder / "bench.toml"
-        diffuse, specular = DEFAULT_RAYS
-        text = SCENE.format(interval=360 / views, diffuse=diffuse, specular=specular)
-        scene.write_text(text, encoding="utf-8")
         axes = {"method": ["mvla-gr"], "snr_db": [20.0], "seed": list(range(round(cases)))}
-        data = {"name": "bench", "scenes": [str(scene)], "axes": axes}
-        self.plan = expand(parse(ExperimentSettings, data, "bench"), limit=None)
+        self.plan = star_plan(self.folder, views, axes)
         for traced in self.plan.scenes.values():
             simulate(traced)
         self.batches = sum(len(task.batches) for task in tasks_of(self.plan, self.plan.cases, self.workers))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -53,6 +54,10 @@ def bench(
             help="tracing, projection, search or sweep; default all: the estimate needs them. May be repeated."
         ),
     ] = None,
+    ratios: Annotated[
+        bool,
+        typer.Option("--ratios", help="Compare with plain NumPy, a plain PathSolver loop and BP instead: ratios.csv."),
+    ] = False,
     scenes: Annotated[int, typer.Option(help="Of the estimate: scenes, each imaged once.")] = 1_000_000,
     views: Annotated[int, typer.Option(help="Of the estimate: views of a scene.")] = 360,
     nodes: Annotated[int, typer.Option(help="Of the estimate: nodes.")] = 64,
@@ -67,6 +72,9 @@ def bench(
     from mvla_sim.files import check_writable, make_folder
     from mvla_sim.interrupt import interruptible
 
+    if ratios:
+        _ratios(output, stage or ())
+        return
     campaign = CostScenario(scenes=scenes, views=views, nodes=nodes, cores=cores)
     for name in stage or ():
         series_of(name)
@@ -97,3 +105,24 @@ def bench(
     disturbed = sum(row.disturbed for row in rows)
     if disturbed:
         note(f"note: {disturbed_note(disturbed, len(rows))}")
+
+
+def _ratios(output: Path, stages: Sequence[str]) -> None:
+    from mvla_sim.bench.bench_files import write_ratios
+    from mvla_sim.bench.cost_tables import ratio_line
+    from mvla_sim.bench.ratios import check_stages, measure_ratios
+    from mvla_sim.engine.machine import core_count, cpu_name
+    from mvla_sim.files import check_writable, make_folder
+    from mvla_sim.interrupt import interruptible
+
+    check_stages(stages)
+    with interruptible():
+        make_folder(output)
+        check_writable(output / "ratios.csv")
+        say(f"{cpu_name()}, {core_count()} cores; medians of calls in turn")
+        found = []
+        for one in measure_ratios(stages):
+            say(ratio_line(one))
+            found.append(one)
+        file = write_ratios(output, found)
+    wrote(file)

@@ -1,17 +1,18 @@
-"""The projector again, in plain float64 NumPy and loops: slow, and meant to be obviously right."""
+"""The projector again, in plain float64 NumPy and loops: slow, and meant to be obviously right.
+
+Sums over views are those of :mod:`mvla_sim.bench.numpy_twin`; here is what no benchmark needs.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from mvla_sim.bench.numpy_twin import backprojection, distances, score, supports
 
-def distances(points_m, position_m):
-    """Range of every point ``[n, 3]`` from one sensor ``[3]``, metres.
-
-    Of a pair ``[2, 3]``, transmitter and receiver, it is half the way from one over the point to the other.
-    """
-    ends = np.reshape(position_m, (-1, 3))
-    return np.mean([np.sqrt(((points_m - end) ** 2).sum(axis=1)) for end in ends], axis=0)
+__all__ = [
+    "backprojection", "direction_width", "direction_widths", "distances", "ends", "levels_db", "score",
+    "support_width", "support_widths", "supports",
+]  # fmt: skip
 
 
 def ends(views):
@@ -93,32 +94,6 @@ def direction_widths(angles_deg, b, c, closed):
     return widths[inverse.ravel()]
 
 
-def supports(points_m, positions_m, peaks, radius_m):
-    """b_mn: whether some peak of view m is within R_T of the voxel's range; ``[n_view, n]``, and near ties as well.
-
-    ``peaks`` is one pair (ranges, weights) a view.
-    """
-    result = np.zeros((len(positions_m), len(points_m)), bool)
-    for m, (ranges, _) in enumerate(peaks):
-        r = distances(points_m, positions_m[m])
-        for peak in ranges:
-            result[m] |= np.abs(r - peak) <= radius_m
-    return result
-
-
-def score(points_m, positions_m, peaks, sigma_m, radius_m, *, covered=True):
-    """Σ_m Σ_i w_mi φ(d_mi,n), with φ truncated at R_T, over the views that cover the voxel; ``[n]``."""
-    total = np.zeros(len(points_m))
-    covered = np.broadcast_to(covered, (len(positions_m), len(points_m)))
-    for m, (ranges, weights) in enumerate(peaks):
-        r = distances(points_m, positions_m[m])
-        for peak, weight in zip(ranges, weights, strict=True):
-            d = r - peak
-            near = covered[m] & (np.abs(d) <= radius_m)
-            total += np.where(near, weight * np.exp(-(d**2) / (2 * sigma_m**2)), 0.0)
-    return total
-
-
 def support_width(angles_deg, supported, closed):
     """Θ of one voxel: width of the longest run of consecutive supporting views, by trying every run.
 
@@ -144,13 +119,3 @@ def support_widths(angles_deg, b, closed):
     columns, inverse = np.unique(b.T, axis=0, return_inverse=True)
     widths = np.array([support_width(angles_deg, column, closed) for column in columns])
     return widths[inverse.ravel()]
-
-
-def backprojection(points_m, positions_m, power, range_m, covered=True):
-    """Σ_m P_m(r) over the views that cover the voxel, linear between samples and nothing outside them; ``[n]``."""
-    total = np.zeros(len(points_m))
-    covered = np.broadcast_to(covered, (len(power), len(points_m)))
-    for m, profile in enumerate(power):
-        r = distances(points_m, positions_m[m])
-        total += np.where(covered[m], np.interp(r, range_m, profile, left=0.0, right=0.0), 0.0)
-    return total
