@@ -74,15 +74,10 @@ def list_settings(*words: str) -> list[Setting]:
     """
     found = [Setting(group, *row) for group, model in GROUPS.items() for row in _rows(model, "", (model,))]
     for word in words:
-        found = [entry for entry in found if word in (entry.group, entry.key) or _within(word, entry, GROUPS)]
+        found = [entry for entry in found if (entry.group == word if word in GROUPS else word in entry.key)]
         if not found:
             raise ConfigError(f"no setting has {' and '.join(map(repr, words))}; {_hint(word)}")
     return found
-
-
-def _within(word: str, entry: Setting, groups: typing.Container[str]) -> bool:
-    """Whether a key has the word in it; the name of a group selects that group alone."""
-    return word not in groups and word in entry.key
 
 
 def _hint(word: str) -> str:

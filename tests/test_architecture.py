@@ -120,3 +120,31 @@ def test_public_names_exist_and_are_sorted(path):
 @pytest.mark.parametrize("path", MODULES, ids=NAMES)
 def test_modules_fit_a_head(path):
     assert len(path.read_text(encoding="utf-8").splitlines()) <= 450
+
+
+def test_nothing_imports_the_command_line():
+    users = [name for path, name in zip(MODULES, NAMES, strict=True) if not name.startswith("cli/")
+             for used in imports(parse(path)) if used.startswith("mvla_sim.cli")]  # fmt: skip
+    assert users == []
+
+
+COMPUTING = ("numpy", "scipy", "pandas", "matplotlib", "shapely", "xarray", "drjit", "mvla_sim.plot")
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("cli/")])
+def test_the_command_line_computes_and_draws_nothing(name):
+    """It has what it prints from other rooms: pandas' name is there for annotations alone."""
+    tree = parse(ROOT / name)
+    for_types = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    tree.body = [node for node in tree.body if node not in for_types]
+    assert [used for used in imports(tree) if used.startswith(COMPUTING)] == []
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("plot/")])
+def test_figures_compute_nothing(name):
+    """They know kinds of data, other figures, and names of methods; no function that makes data."""
+    used = {full for full in imports(parse(ROOT / name)) if full.startswith("mvla_sim.")}
+    functions = {full for full in used if full.rpartition(".")[2][0].islower()}
+    allowed = {"title_of", "score_label_of", "exposed_faces", "atomic_output"}
+    assert {full for full in functions if not full.startswith("mvla_sim.plot.")
+            and full.rpartition(".")[2] not in allowed} == set()  # fmt: skip

@@ -56,6 +56,11 @@ class Evaluation:
     truth: NDArray[np.bool_]
     occupied: NDArray[np.bool_]
 
+    def __repr__(self) -> str:
+        """One line: the thresholds, and the distance at them."""
+        pair = f"p = {self.top_percent:.4g} %, T_θ = {self.min_support_deg:.4g}°"
+        return f"Evaluation({self.protocol} thresholds, {pair}: CD {self.cd_db:.2f} dB(m²))"
+
     @property
     def cd_db(self) -> float:
         """Chamfer distance at the thresholds used, dB(m²)."""

@@ -59,6 +59,10 @@ class TruthGeometry:
     steps: Floats
     cap: float
 
+    def __repr__(self) -> str:
+        """One line: how many voxels of how many."""
+        return f"TruthGeometry({self.voxels.size} of {self.grid.size} voxels)"
+
     @classmethod
     def build(cls, truth: NDArray[np.bool_], grid: VoxelGrid) -> TruthGeometry:
         """Prepare a truth mask ``[nz, ny, nx]``.

@@ -65,6 +65,13 @@ class Scores:
     area_m2: float
     reason: str = ""
 
+    def __repr__(self) -> str:
+        """One line: Chamfer distance and F1."""
+        if self.reason:
+            return f"Scores({self.reason})"
+        f1 = ", ".join(f"{v:.2f} at {100 * d:g} cm" for d, v in zip(self.distances_m, self.f1, strict=True))
+        return f"Scores(CD {self.cd_db:.2f} dB(m²), F1 {f1})"
+
     def as_dict(self) -> dict[str, Any]:
         """Return one flat row; precision, recall and F1 carry their distance in the name, as in ``f1_5cm``."""
         row: dict[str, Any] = {

@@ -75,6 +75,11 @@ class Optimum:
     n_retained: int
     area_m2: float
 
+    def __repr__(self) -> str:
+        """One line: the distance and its thresholds."""
+        pair = f"p = {self.top_percent:.4g} %, T_θ = {self.min_support_deg:.4g}°"
+        return f"Optimum(CD {self.cd_db:.2f} dB(m²) at {pair})"
+
 
 def optimal_thresholds(score: NDArray[Any], theta_deg: NDArray[Any] | None, geometry: TruthGeometry) -> Optimum:
     """Return the exact optimum of the Chamfer distance over every p and every T_θ.

@@ -110,7 +110,7 @@ def load_process(path: str | os.PathLike[str], overrides: Sequence[str] = ()) ->
     return parse(ProcessSettings, data, str(path))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class Processed:
     """What came of a measurement.
 

@@ -102,7 +102,7 @@ class Claim:
     detail: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ResultTables:
     """Result tables, None where an experiment was not run; ``checks`` are the measurements of cost and phase.
 
@@ -113,6 +113,12 @@ class ResultTables:
     star_optimal: pd.DataFrame | None = None
     star_calibrated: pd.DataFrame | None = None
     checks: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """One line: which there are, and of how many cases."""
+        tables = {name: value for name, value in vars(self).items() if isinstance(value, pd.DataFrame)}
+        counts = [f"{name}: {len(table)} cases" for name, table in tables.items()]
+        return f"ResultTables({', '.join([*counts, *self.checks])})"
 
 
 Outcome = tuple[str, float, bool]

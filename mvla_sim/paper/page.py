@@ -97,6 +97,10 @@ class Section:
     warning: str = ""
     keys: Sequence[tuple[str, str]] = ()
 
+    def __repr__(self) -> str:
+        """One line: its heading."""
+        return f"Section({self.title!r})"
+
 
 def table_html(table: pd.DataFrame, caption: str = "", digits: int = 4, *, stack: bool = False) -> str:
     """Turn a table into HTML that scrolls in a box of its own; verdicts become badges, everything is escaped.

@@ -43,6 +43,10 @@ class RunStep:
     result: RunResult
     pictures: list[Path]
 
+    def __repr__(self) -> str:
+        """One line: the experiment, and how many of its cases are done."""
+        return f"RunStep({self.plan.experiment.name}: {self.result!r})"
+
 
 @dataclass(frozen=True, eq=False)
 class MeasurementStep:
@@ -51,6 +55,10 @@ class MeasurementStep:
     name: str
     done: Processed
     files: list[Path]
+
+    def __repr__(self) -> str:
+        """One line: the measurement, and what came of it."""
+        return f"MeasurementStep({self.name}: {self.done!r})"
 
 
 def reproduce(

@@ -51,7 +51,7 @@ class RunInterruptedError(MvlaError):
     exit_code = 130
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RunResult:
     """What a run leaves.
 
@@ -68,6 +68,10 @@ class RunResult:
     table: pd.DataFrame
     files: tuple[Path, ...]
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """One line: how many cases are done."""
+        return f"RunResult({self.count('done')} of {len(self.table)} cases done)"
 
     def count(self, status: str) -> int:
         """Number of cases that are ``done``, ``failed`` or ``missing``."""

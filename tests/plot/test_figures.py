@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-import itertools
-from pathlib import Path
-
 import numpy as np
-import pandas as pd
 import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.image import imread
 from matplotlib.patches import FancyArrowPatch, Rectangle
 from matplotlib.text import Text
+from plot_data import (
+    SQUARE,
+    check_texts,
+    circle,
+    curve_table,
+    make_grid,
+    make_image,
+    make_masks,
+    make_profiles,
+    square_scene,
+)
 
 from mvla_sim.errors import DataError
-from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.pdp import Pdp
-from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.plot.curves import plot_curves
 from mvla_sim.plot.drawing import FALSE, HIT, MISS, angle_axis, angle_cells
 from mvla_sim.plot.image_figures import plot_comparison, plot_image, score_caption
@@ -29,56 +33,6 @@ from mvla_sim.plot.scene_figures import plot_scene
 from mvla_sim.plot.style import PNG_DPI, save_figure
 from mvla_sim.plot.waterfall import plot_waterfall
 from mvla_sim.scene.views import Views
-from mvla_sim.scene.world import Scene
-
-SCENES = Path(__file__).parents[2] / "scenes"
-SQUARE = shapely.box(-1, -1, 1, 1)
-PIXEL = 1.0  # display units: positions are rounded to whole pixels when drawn
-
-
-def make_grid(nx=8, ny=8, nz=1):
-    return VoxelGrid((0.0, 0.0, 0.0), (nx, ny, nz), 0.5)
-
-
-def make_image(grid, support=True, method="mvla-gr", scale=1.0, outline=SQUARE):
-    rng = np.random.default_rng(1)
-    score = (scale * rng.random(grid.shape)).astype(np.float32)
-    angle = (90 * rng.random(grid.shape)).astype(np.float32)
-    return Image(score, angle if support else None, grid, method, 12, outline=outline)
-
-
-def make_masks(grid):
-    rng = np.random.default_rng(2)
-    return rng.random(grid.shape) < 0.4, rng.random(grid.shape) < 0.4
-
-
-def circle(angles_deg, radius=5.0):
-    angles = np.deg2rad(angles_deg)
-    positions = radius * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    return Views(positions, np.mod(angles_deg, 360.0), (0.0, 0.0))
-
-
-def make_profiles(n_view, n_range=20):
-    rng = np.random.default_rng(3)
-    power = 1e-12 * rng.standard_normal((n_view, n_range))  # noise of zero mean goes below zero
-    power[:, 7] = 1e-9 * (1 + np.arange(n_view))
-    peaks = Peaks(np.full(n_view, 2.0 + 7 * 0.1), power[:, 7], np.ones(n_view, np.int64))
-    return Pdp(power, None, 2.0, 0.1, 0.2, 1.5), peaks
-
-
-def load_scene(*overrides):
-    return Scene.load(SCENES / "square.toml", overrides)
-
-
-def table():
-    return pd.DataFrame(
-        [
-            {"method": method, "snr": snr, "x": x, "y": -20.0 + x - snr / 10 - (method == "bp"), "lo": -25.0, "hi": 5.0}
-            for method in ("mvla-gr", "bp")
-            for snr in (20, 0, 10)
-            for x in (30, 1, 5, 10)
-        ]
-    )
 
 
 def comparison(title="Comparison"):
@@ -96,8 +50,8 @@ def comparison(title="Comparison"):
 
 
 FIGURES = {
-    "scene": lambda: plot_scene(load_scene(), make_masks(make_grid())[0], make_grid()),
-    "scene without grid": lambda: plot_scene(load_scene("trajectory.interval_deg=30")),
+    "scene": lambda: plot_scene(square_scene(), make_masks(make_grid())[0], make_grid()),
+    "scene without grid": lambda: plot_scene(square_scene("trajectory.interval_deg=30")),
     "waterfall": lambda: plot_waterfall(make_profiles(36)[0], circle(np.arange(0, 360, 10)), make_profiles(36)[1], "A"),
     "waterfall alone": lambda: plot_waterfall(make_profiles(5)[0], circle(np.array([0, 3, 50, 51, 52]))),
     "waterfall of one view": lambda: plot_waterfall(make_profiles(1)[0], circle(np.array([90])), make_profiles(1)[1]),
@@ -111,46 +65,22 @@ FIGURES = {
     "comparison": comparison,
     "comparison without title": lambda: comparison(""),
     "curves": lambda: plot_curves(
-        table(), "x", "y", "snr", style="method", by_format="SNR {} dB", x_label="angular interval (°)", log_x=True
+        curve_table(),
+        "x",
+        "y",
+        "snr",
+        style="method",
+        by_format="SNR {} dB",
+        x_label="angular interval (°)",
+        log_x=True,
     ),
-    "one curve": lambda: plot_curves(table()[:4], "x", "y", title="A curve"),
+    "one curve": lambda: plot_curves(curve_table()[:4], "x", "y", title="A curve"),
 }
-
-
-def drawn_texts(figure):
-    """Every text that is drawn: tick labels outside their axis exist, but are not."""
-    hidden = set()
-    for axes in figure.findobj(Axes):
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = sorted(axis.get_view_interval())
-            slack = 1e-9 * (high - low)
-            for tick in [*axis.get_major_ticks(), *axis.get_minor_ticks()]:
-                if not (axes.axison and axes.get_visible() and low - slack <= tick.get_loc() <= high + slack):
-                    hidden |= {tick.label1, tick.label2}
-            if not axes.axison:
-                hidden.add(axis.label)
-    return [text for text in figure.findobj(Text) if text.get_visible() and text.get_text() and text not in hidden]
 
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_text_is_inside_the_figure_and_clear_of_the_others(name):
-    figure = FIGURES[name]()
-    figure.set_dpi(PNG_DPI)
-    figure.canvas.draw()
-    boxes = [(text.get_text(), text.get_window_extent()) for text in drawn_texts(figure)]
-    assert len(boxes) > 4
-    width, height = figure.get_size_inches() * PNG_DPI
-    for text, box in boxes:
-        assert box.x0 >= -PIXEL, text
-        assert box.y0 >= -PIXEL, text
-        assert box.x1 <= width + PIXEL, text
-        assert box.y1 <= height + PIXEL, text
-    panels = [(f"panel {n}", axes.get_window_extent()) for n, axes in enumerate(figure.findobj(Axes)) if axes.axison]
-    for (one, a), (other, b) in [*itertools.combinations(boxes, 2), *itertools.product(boxes, panels)]:
-        across = min(a.x1, b.x1) - max(a.x0, b.x0)
-        along = min(a.y1, b.y1) - max(a.y0, b.y0)
-        # two lines of a title may share the empty space above and below their letters, about a fifth of their height
-        assert across <= PIXEL or along <= 0.2 * min(a.height, b.height), f"'{one}' over '{other}'"
+    check_texts(FIGURES[name]())
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -176,7 +106,7 @@ def test_vector_files(tmp_path, name, suffix, header):
 
 @pytest.mark.parametrize("interval", [1, 30, 360])
 def test_scene_has_a_dot_for_each_view_and_the_grids_frame(interval):
-    scene, grid = load_scene(f"trajectory.interval_deg={interval}"), make_grid(6, 4)
+    scene, grid = square_scene(f"trajectory.interval_deg={interval}"), make_grid(6, 4)
     axes = plot_scene(scene, grid=grid).axes[0]
     np.testing.assert_array_equal(np.transpose(axes.lines[0].get_data()), scene.views.positions_m[:, :2])
     np.testing.assert_array_equal(np.transpose(axes.lines[1].get_data()), scene.views.positions_m[:1, :2])
@@ -192,7 +122,7 @@ def test_scene_has_a_dot_for_each_view_and_the_grids_frame(interval):
     [(["trajectory.interval_deg=5"], 1), (["trajectory={kind='turntable', sensor_m=[9,0,0], interval_deg=5}"], -1)],
 )
 def test_arrow_points_the_way_the_views_go(overrides, sense):
-    axes = plot_scene(load_scene(*overrides)).axes[0]
+    axes = plot_scene(square_scene(*overrides)).axes[0]
     (arrow,) = [patch for patch in axes.patches if isinstance(patch, FancyArrowPatch)]
     path = axes.transData.inverted().transform_path(arrow.get_transform().transform_path(arrow.get_path()))
     (x0, y0), (x1, y1) = path.vertices[0], path.vertices[len(path.vertices) // 3]
@@ -200,7 +130,7 @@ def test_arrow_points_the_way_the_views_go(overrides, sense):
 
 
 def test_one_view_has_no_direction():
-    axes = plot_scene(load_scene("trajectory.interval_deg=360")).axes[0]
+    axes = plot_scene(square_scene("trajectory.interval_deg=360")).axes[0]
     assert not [patch for patch in axes.patches if isinstance(patch, FancyArrowPatch)]
 
 
@@ -368,12 +298,12 @@ def test_masks_of_another_shape_are_refused():
         lambda: plot_image(image, truth=other),
         lambda: plot_image(image, occupied=other),
         lambda: plot_comparison([image], [other], [make_masks(grid)[0]], ["a"]),
-        lambda: plot_scene(load_scene("trajectory.interval_deg=90"), other, grid),
+        lambda: plot_scene(square_scene("trajectory.interval_deg=90"), other, grid),
     ):
         with pytest.raises(DataError, match=r"has shape \(1, 2, 2\), the grid \(1, 8, 8\)"):
             call()
     with pytest.raises(DataError, match="without its grid"):
-        plot_scene(load_scene("trajectory.interval_deg=90"), other)
+        plot_scene(square_scene("trajectory.interval_deg=90"), other)
 
 
 # --- comparison ---
@@ -406,7 +336,7 @@ def test_comparison_refuses_lists_of_different_lengths():
 
 
 def test_a_line_for_each_group_sorted_along_x():
-    axes = plot_curves(table(), "x", "y", "snr", style="method").axes[0]
+    axes = plot_curves(curve_table(), "x", "y", "snr", style="method").axes[0]
     assert len(axes.lines) == 6
     for line in axes.lines:
         np.testing.assert_array_equal(line.get_xdata(), [1, 5, 10, 30])
@@ -416,7 +346,7 @@ def test_a_line_for_each_group_sorted_along_x():
 
 
 def test_numbers_get_lighter_colours_as_they_rise():
-    figure = plot_curves(table()[:12], "x", "y", "snr", by_format="SNR {} dB")
+    figure = plot_curves(curve_table()[:12], "x", "y", "snr", by_format="SNR {} dB")
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels == ["SNR 0 dB", "SNR 10 dB", "SNR 20 dB"]
     light = [
@@ -427,7 +357,7 @@ def test_numbers_get_lighter_colours_as_they_rise():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_values_without_a_place_leave_a_gap(bad):
-    data = table()[:4].assign(y=[1.0, 2.0, bad, 4.0], lo=[0.0, 1.0, bad, 3.0], hi=[2.0, 3.0, bad, 5.0])
+    data = curve_table()[:4].assign(y=[1.0, 2.0, bad, 4.0], lo=[0.0, 1.0, bad, 3.0], hi=[2.0, 3.0, bad, 5.0])
     axes = plot_curves(data, "x", "y", low="lo", high="hi").axes[0]  # x = 30, 1, 5, 10: the third is at 5
     np.testing.assert_array_equal(np.isnan(axes.lines[0].get_ydata()), [False, True, False, False])
     inside = [path.contains_point((5.0, 2.5)) for path in axes.collections[0].get_paths()]
@@ -437,14 +367,14 @@ def test_values_without_a_place_leave_a_gap(bad):
 
 
 def test_missing_group_values_are_a_group_of_their_own():
-    data = table()[:12].assign(snr=lambda frame: frame.snr.replace(0, np.nan))
+    data = curve_table()[:12].assign(snr=lambda frame: frame.snr.replace(0, np.nan))
     figure = plot_curves(data, "x", "y", "snr", by_format="{} dB")
     assert len(figure.axes[0].lines) == 3
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["10 dB", "20 dB", "none"]
 
 
 def test_curves_refuse_what_does_not_fit():
-    data = table()
+    data = curve_table()
     with pytest.raises(DataError, match=r"no column 'q'; it has method"):
         plot_curves(data, "x", "q")
     with pytest.raises(DataError, match=r"several rows have x = \d+, method"):

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 
 import numpy as np
 import pytest
 import shapely
 import trimesh
-from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.image import imread
-from matplotlib.text import Text
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from plot_data import check_texts
 
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.boxes import Box, bounding_box
@@ -22,13 +20,12 @@ from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.volumes import exposed_faces
 from mvla_sim.plot.image_figures import plot_measured
-from mvla_sim.plot.style import DOUBLE_COLUMN_IN, PNG_DPI, save_figure
+from mvla_sim.plot.style import DOUBLE_COLUMN_IN, save_figure
 from mvla_sim.plot.volume_figure import VIEW_DEG, plot_volume
 
 CAR = shapely.box(-2.1, -0.9, 2.1, 0.9)
 PLANE = VoxelGrid((0.0, 0.0, 0.9), (30, 20, 1), 0.25)
 VOLUME = VoxelGrid((0.25, 0.0, 1.0), (24, 14, 10), 0.25)
-PIXEL = 1.0  # display units: positions are rounded to whole pixels when drawn
 
 
 def make_image(grid, method="mvla-gr", **changes):
@@ -79,40 +76,11 @@ FIGURES = {
 }
 
 
-def drawn_texts(figure):
-    """Every text that is drawn: tick labels outside their axis exist, but are not."""
-    hidden = set()
-    for axes in figure.findobj(Axes):
-        for axis in axes._axis_map.values():
-            low, high = sorted(axis.get_view_interval())
-            slack = 1e-9 * (high - low)
-            for tick in [*axis.get_major_ticks(), *axis.get_minor_ticks()]:
-                if not (axes.axison and axes.get_visible() and low - slack <= tick.get_loc() <= high + slack):
-                    hidden |= {tick.label1, tick.label2}
-    return [text for text in figure.findobj(Text) if text.get_visible() and text.get_text() and text not in hidden]
-
-
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_text_is_inside_the_figure_and_clear_of_the_others(name):
     figure = FIGURES[name]()
-    figure.set_dpi(PNG_DPI)
-    figure.canvas.draw()
-    boxes = [(text.get_text(), text.get_window_extent()) for text in drawn_texts(figure)]
-    assert len(boxes) > 4
-    width, height = figure.get_size_inches() * PNG_DPI
-    assert width <= DOUBLE_COLUMN_IN * PNG_DPI
-    for text, box in boxes:
-        assert box.x0 >= -PIXEL, text
-        assert box.y0 >= -PIXEL, text
-        assert box.x1 <= width + PIXEL, text
-        assert box.y1 <= height + PIXEL, text
-    flat = [axes for axes in figure.findobj(Axes) if axes.axison and not isinstance(axes, Axes3D)]
-    panels = [(f"panel {n}", axes.get_window_extent()) for n, axes in enumerate(flat)]
-    for (one, a), (other, b) in [*itertools.combinations(boxes, 2), *itertools.product(boxes, panels)]:
-        across = min(a.x1, b.x1) - max(a.x0, b.x0)
-        along = min(a.y1, b.y1) - max(a.y0, b.y0)
-        # two lines may share the empty space above and below their letters, about a fifth of their height
-        assert across <= PIXEL or along <= 0.2 * min(a.height, b.height), f"'{one}' over '{other}'"
+    assert figure.get_figwidth() <= DOUBLE_COLUMN_IN
+    check_texts(figure)
 
 
 @pytest.mark.parametrize("name", ["measured", "volume", "one voxel"])
