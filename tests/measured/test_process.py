@@ -299,6 +299,38 @@ def test_gates_beams_and_axes_that_do_not_fit_are_refused(folder, capsys):
     assert not (folder / "i.nc").exists()
 
 
+SCENE_PROCESS = """
+name = "seen"
+scene = "box.toml"
+export = ["ply"]
+[imaging]
+grid = { size_m = [5, 5, 0], spacing_m = 0.1 }
+"""
+
+
+def test_a_truth_is_enough_for_a_surface(folder, capsys):
+    """Without thresholds the binary result is the best one: it is drawn, boxed, and so exported as well."""
+    (folder / "box.toml").write_text(CAR_SCENE)
+    (folder / "p.toml").write_text('truth = "box.toml"\n' + SCENE_PROCESS)
+    text = mvla(capsys, "process", "p.toml", "-o", "out")
+    result = json.loads((folder / "out" / "result.json").read_text())
+    assert result["protocol"] == "optimal"
+    assert "wrote:    out/image.ply" in text
+    surface = trimesh.load(folder / "out" / "image.ply")
+    assert surface.volume == pytest.approx(result["n_reconstruction"] * 0.1**3, rel=1e-4)
+
+
+@pytest.mark.parametrize("more", ["", 'truth = "box.toml"\nimaging.grid.size_m = [5, 5, 1]\n'])
+def test_a_surface_of_nothing_is_refused_before_any_work(folder, capsys, more):
+    """No thresholds, and no truth that could give them: none at all, or in three dimensions."""
+    (folder / "box.toml").write_text(CAR_SCENE)
+    overrides = [word for line in more.splitlines() for word in ("--set", line.replace(" = ", "="))]
+    (folder / "p.toml").write_text(SCENE_PROCESS)
+    text = mvla(capsys, "process", "p.toml", "-o", "out", *overrides, code=2)
+    assert "export: 'ply' is the surface of the binary result; give imaging.threshold" in text
+    assert not (folder / "out").exists()
+
+
 def test_process_files_that_make_no_sense_are_refused(folder, capsys):
     (folder / "p.toml").write_text('name = "x"\n')
     assert "give either import or scene" in mvla(capsys, "process", "p.toml", code=2)
