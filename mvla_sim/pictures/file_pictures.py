@@ -72,7 +72,7 @@ def draw_images(files: Sequence[Path], output: Path) -> None:
     truths, masks, captions = zip(*shown, strict=True)
     names = [f"{title_of(image.method)}, {view_count(image.n_view)}" for image in images]
     if len(images) == 1:
-        title = f"{names[0]}: {captions[0]}".replace("\n", ", ")
+        title = "\n".join([names[0], captions[0].replace("\n", ", ")])
         save_figure(plot_image(images[0], truths[0], masks[0], title), output)
     else:
         save_figure(plot_comparison(images, truths, masks, names, captions=captions), output)

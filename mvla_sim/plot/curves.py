@@ -124,7 +124,7 @@ def plot_curves(
         if title:
             axes.set_title(title)
         if handles and ax is not None:
-            ax.legend(handles=handles)
+            ax.legend(handles=handles, frameon=True)
         elif handles:
             figure_legend(figure, handles, "upper")
     return figure if ax is None else ax

@@ -102,7 +102,7 @@ def plot_image(
         panels: Sequence[Axes] = () if axes is None else axes
         if axes is None:
             width = SINGLE_COLUMN_IN if len(names) == 1 else DOUBLE_COLUMN_IN * len(names) / 3
-            edges = (0.42, 0.12, 0.9, 0.45)
+            edges = (0.42, 0.12, 0.9, 0.45 + 0.14 * name.count("\n"))
             figure, (panels,) = panel_grid(width, [image.grid], len(names), edges_in=edges, gap_in=(0.15, 0.0))
             figure.suptitle(name, y=1 - 0.06 / figure.get_figheight(), va="top")
         for panel, what in zip(panels, names, strict=True):
@@ -117,7 +117,7 @@ def plot_image(
                 anchor = (middle.x0 + middle.width / 2, 0.3 / figure.get_figheight())
                 figure.legend(handles=handles, loc="center", bbox_to_anchor=anchor, ncols=2)
             else:
-                panels[-1].legend(handles=handles)
+                panels[-1].legend(handles=handles, frameon=True)
     if axes is None:
         return figure
     for panel in axes:

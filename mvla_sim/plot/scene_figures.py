@@ -100,7 +100,7 @@ def plot_scene(
         axes.set_ylabel("y (m)")
         axes.set_title(f"Scene {scene.name}, from above")
         if ax is not None:
-            ax.legend(handles=handles)
+            ax.legend(handles=handles, frameon=True)
             return ax
         figure_legend(figure, handles, columns=3)
     return figure

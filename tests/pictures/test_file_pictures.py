@@ -50,7 +50,7 @@ def texts(monkeypatch, tmp_path):
             image.save(file)
         draw(files, tmp_path / "figure.png", [])
         (figure,) = figures
-        return " / ".join(text.get_text() for text in figure.findobj(Text))
+        return " / ".join(text.get_text().replace("\n", ", ") for text in figure.findobj(Text))
 
     return shown
 

@@ -56,6 +56,12 @@ FIGURES = {
     "waterfall alone": lambda: plot_waterfall(make_profiles(5)[0], circle(np.array([0, 3, 50, 51, 52]))),
     "waterfall of one view": lambda: plot_waterfall(make_profiles(1)[0], circle(np.array([90])), make_profiles(1)[1]),
     "image": lambda: plot_image(make_image(make_grid()), *make_masks(make_grid())),
+    "image with a long title": lambda: plot_image(
+        make_image(make_grid(), support=False),
+        None,
+        make_masks(make_grid())[0],
+        "View-normalised backprojection, 360 views\nCD = −20.3 dB(m²), best thresholds, found with the truth",
+    ),
     "image without support": lambda: plot_image(
         make_image(make_grid(), support=False), None, make_masks(make_grid())[0]
     ),
