@@ -59,20 +59,76 @@ if TYPE_CHECKING:
     from mvla_sim.plot.scene_figures import plot_scene
     from mvla_sim.plot.style import save_figure
     from mvla_sim.plot.waterfall import plot_waterfall
-    from mvla_sim.scene.world import Scene
+    from mvla_sim.scene.antenna import Antenna, AntennaPattern
+    from mvla_sim.scene.antennas.cuts import PatternCuts
+    from mvla_sim.scene.antennas.horn import Horn
+    from mvla_sim.scene.antennas.omni import Omni
+    from mvla_sim.scene.antennas.pattern_file import PatternFile
+    from mvla_sim.scene.material import CustomMaterial, ScatteringPattern
+    from mvla_sim.scene.pointing import PointingSettings
+    from mvla_sim.scene.radio import RadioSettings, RayTracingSettings
+    from mvla_sim.scene.shape import Prism, Shape
+    from mvla_sim.scene.shapes.car import Car
+    from mvla_sim.scene.shapes.cylinder import Cylinder
+    from mvla_sim.scene.shapes.mesh_file import MeshFile
+    from mvla_sim.scene.shapes.polygon import Polygon
+    from mvla_sim.scene.shapes.rectangle import Rectangle
+    from mvla_sim.scene.shapes.square import Square
+    from mvla_sim.scene.shapes.star import Star
+    from mvla_sim.scene.shapes.triangle import Triangle
+    from mvla_sim.scene.trajectories.arc import Arc
+    from mvla_sim.scene.trajectories.circle import Circle
+    from mvla_sim.scene.trajectories.line import Line
+    from mvla_sim.scene.trajectories.poses import Poses
+    from mvla_sim.scene.trajectories.positions import Positions
+    from mvla_sim.scene.trajectories.turntable import Turntable
+    from mvla_sim.scene.trajectory import Trajectory
+    from mvla_sim.scene.views import Views
+    from mvla_sim.scene.world import Scene, SceneObject, SceneSettings
 
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Antenna": "scene.antenna",
+    "AntennaPattern": "scene.antenna",
+    "Arc": "scene.trajectories.arc",
+    "Car": "scene.shapes.car",
     "Cir": "channel.cir",
+    "Circle": "scene.trajectories.circle",
     "Components": "channel.components",
+    "CustomMaterial": "scene.material",
+    "Cylinder": "scene.shapes.cylinder",
     "EvaluationSettings": "imaging.imaging_settings",
     "FrequencyResponse": "channel.response",
+    "Horn": "scene.antennas.horn",
     "Image": "imaging.image",
     "ImagingSettings": "imaging.imaging_settings",
+    "Line": "scene.trajectories.line",
+    "MeshFile": "scene.shapes.mesh_file",
     "MvlaError": "errors",
     "Observation": "imaging.observation",
+    "Omni": "scene.antennas.omni",
+    "PatternCuts": "scene.antennas.cuts",
+    "PatternFile": "scene.antennas.pattern_file",
+    "PointingSettings": "scene.pointing",
+    "Polygon": "scene.shapes.polygon",
+    "Poses": "scene.trajectories.poses",
+    "Positions": "scene.trajectories.positions",
+    "Prism": "scene.shape",
+    "RadioSettings": "scene.radio",
+    "RayTracingSettings": "scene.radio",
+    "Rectangle": "scene.shapes.rectangle",
+    "ScatteringPattern": "scene.material",
     "Scene": "scene.world",
+    "SceneObject": "scene.world",
+    "SceneSettings": "scene.world",
+    "Shape": "scene.shape",
+    "Square": "scene.shapes.square",
+    "Star": "scene.shapes.star",
+    "Trajectory": "scene.trajectory",
+    "Triangle": "scene.shapes.triangle",
+    "Turntable": "scene.trajectories.turntable",
+    "Views": "scene.views",
     "bounding_box": "evaluation.boxes",
     "build_dataset": "dataset.build",
     "evaluate": "evaluation.evaluate",
@@ -99,15 +155,46 @@ _HOMES = {
 }
 
 __all__ = [
+    "Antenna",
+    "AntennaPattern",
+    "Arc",
+    "Car",
     "Cir",
+    "Circle",
     "Components",
+    "CustomMaterial",
+    "Cylinder",
     "EvaluationSettings",
     "FrequencyResponse",
+    "Horn",
     "Image",
     "ImagingSettings",
+    "Line",
+    "MeshFile",
     "MvlaError",
     "Observation",
+    "Omni",
+    "PatternCuts",
+    "PatternFile",
+    "PointingSettings",
+    "Polygon",
+    "Poses",
+    "Positions",
+    "Prism",
+    "RadioSettings",
+    "RayTracingSettings",
+    "Rectangle",
+    "ScatteringPattern",
     "Scene",
+    "SceneObject",
+    "SceneSettings",
+    "Shape",
+    "Square",
+    "Star",
+    "Trajectory",
+    "Triangle",
+    "Turntable",
+    "Views",
     "bounding_box",
     "build_dataset",
     "evaluate",

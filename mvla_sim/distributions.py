@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import math
 import operator
-from collections.abc import Callable
-from typing import Annotated, Any
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Final
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     Field,
@@ -21,9 +22,12 @@ from pydantic_core import CoreSchema, core_schema
 from mvla_sim.settings import Settings
 
 __all__ = [
-    "Choice", "Drawn", "Listed", "Real", "TextChoice", "Uniform", "Weight", "Whole", "WholeChoice", "WholeUniform",
-    "bounded", "values_of",
+    "DECIMALS", "Choice", "Drawn", "Listed", "Real", "TextChoice", "Uniform", "Weight", "Whole", "WholeChoice",
+    "WholeUniform", "bounded", "draw", "values_of", "weighted",
 ]  # fmt: skip
+
+DECIMALS: Final = 6
+"""Of the numbers that are drawn."""
 
 Weight = Annotated[float, Field(gt=0, le=1e12)]
 Weights = Annotated[tuple[Weight, ...] | None, Field(description="by default all choices are equally likely")]
@@ -132,6 +136,29 @@ def values_of(distribution: Any) -> tuple[Any, ...]:
     if isinstance(distribution, _UniformBase):
         return distribution.min, distribution.max  # type: ignore[attr-defined]
     return (distribution,)
+
+
+def draw(distribution: Any, random: np.random.Generator) -> Any:
+    """A value of a distribution, lengths and angles to six decimals; one number is taken whatever its kind.
+
+    Rounding makes the value the same on machines whose arithmetic differs in the last bit.
+    """
+    share = random.random()
+    if isinstance(distribution, Uniform):
+        value = round(distribution.min + (distribution.max - distribution.min) * share, DECIMALS)
+        return min(max(value, distribution.min), distribution.max)
+    if isinstance(distribution, WholeUniform):
+        return min(distribution.min + int(share * (distribution.max - distribution.min + 1)), distribution.max)
+    if isinstance(distribution, _ChoiceBase):
+        choices, weights = values_of(distribution), distribution.weights  # type: ignore[attr-defined]
+        return choices[weighted(weights or (1.0,) * len(choices), share)]
+    return distribution
+
+
+def weighted(weights: Sequence[float], share: float) -> int:
+    """Index at which the running share of the weights passes ``share``."""
+    ends = np.cumsum(weights)
+    return min(int(np.searchsorted(ends, share * ends[-1], side="right")), len(weights) - 1)
 
 
 def bounded(

@@ -6,6 +6,7 @@ package; other packages offer theirs as an entry point of the group; a script or
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import importlib
 import inspect
@@ -123,7 +124,9 @@ class Kinds(Generic[K]):
         if name not in self._classes:
             point = next((point for point in self._points() if point.name == name), None)
             if point is None:
-                raise ConfigError(f"'{name}' is no {self.what}; allowed: {', '.join(self.names())}")
+                close = difflib.get_close_matches(name, self.names(), n=1)
+                hint = f" (did you mean '{close[0]}'?)" if close else ""
+                raise ConfigError(f"'{name}' is no {self.what}{hint}; allowed: {', '.join(self.names())}")
             self.add(name, self.offered(point))
         return self._classes[name]
 
@@ -165,8 +168,7 @@ class Kinds(Generic[K]):
         if isinstance(value, str) and self.short:
             value = {str(self.key): value}
         if not isinstance(value, dict):
-            shown = type(value).__name__ if isinstance(value, BaseModel) else repr(value)
-            raise PydanticCustomError("kind", "{shown} is no {what}", {"shown": shown, "what": self.what})
+            raise PydanticCustomError("kind", "{message}", {"message": self._wrong(value)})
         named = value.get(str(self.key), self.default)
         try:
             model = self.model_of(value)
@@ -178,6 +180,14 @@ class Kinds(Generic[K]):
         if mode == "json":
             return model.model_validate_json(json.dumps(value), strict=True)
         return model.model_validate(value)
+
+    def _wrong(self, value: Any) -> str:
+        """What to say about a value that is neither of the kind nor a table."""
+        shown = f"{type(value).__name__} " if isinstance(value, BaseModel) else ""
+        if isinstance(value, Kind):
+            shown += f"is a {value.kinds.what} and "
+        allowed = ", ".join(cls.__name__ for cls in self.own())
+        return f"{shown}is no {self.what}; allowed: {allowed}, or a table of settings"
 
     def _of_key(self, named: Any, message: str) -> ValidationError:
         error = PydanticCustomError("kind", "{message}", {"message": message})

@@ -20,7 +20,7 @@ from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings
 from mvla_sim.kinds import Kinds
 from mvla_sim.measured.process import ProcessSettings
-from mvla_sim.scene.scene_settings import SceneSettings
+from mvla_sim.scene.world import SceneSettings
 from mvla_sim.sweep.experiment import ExperimentSettings
 
 __all__ = ["Setting", "list_settings"]

@@ -7,12 +7,13 @@ import difflib
 import json
 import os
 import re
+import reprlib
 import tomllib
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -20,7 +21,11 @@ from pydantic_core import ErrorDetails
 from mvla_sim.errors import ConfigError
 from mvla_sim.files import existing_file
 
-__all__ = ["Settings", "apply_overrides", "assign", "parse", "read_toml", "resolve_beside"]
+__all__ = ["Settings", "apply_overrides", "assign", "parse", "read_toml", "resolve_beside", "with_nulls"]
+
+
+SHORT: Final = reprlib.Repr()
+SHORT.maxtuple, SHORT.maxlist, SHORT.maxdict, SHORT.maxstring, SHORT.maxother = 4, 4, 4, 60, 200
 
 
 class Settings(BaseModel):
@@ -39,6 +44,16 @@ class Settings(BaseModel):
             super().__init__(**values)
         except ValidationError as error:
             raise ConfigError(f"{type(self).__name__}: {describe(error, type(self), values)}") from error
+
+    def __repr__(self) -> str:
+        told = [
+            f"{name}={SHORT.repr(getattr(self, name))}"
+            for name, field in type(self).model_fields.items()
+            if field.is_required() or getattr(self, name) != field.get_default(call_default_factory=True)
+        ]
+        return f"{type(self).__name__}({', '.join(told)})"
+
+    __str__ = __repr__
 
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # settings inside others are validated as ever
 
@@ -65,8 +80,8 @@ def read_toml(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
         raise ConfigError(f"{file}: is not valid TOML: {error}") from error
 
 
-def parse(model: type[Model], data: dict[str, Any], source: str) -> Model:
-    """Validate plain data strictly ("4" is not a number, 1 is not true) and return the model.
+def parse(model: type[Model], data: Mapping[str, Any], source: str) -> Model:
+    """Validate data strictly ("4" is not a number, 1 is not true) and return the model.
 
     TOML has no null, so the text ``"none"`` stands for it wherever a setting may be absent.
 
@@ -75,7 +90,8 @@ def parse(model: type[Model], data: dict[str, Any], source: str) -> Model:
     model
         The settings class to build.
     data
-        Nested dictionaries, lists, strings and numbers, as read from TOML.
+        Nested dictionaries, lists, strings and numbers, as read from TOML; in Python also settings that are built
+        already, anywhere in them.
     source
         Where the data comes from, for messages: a file name or ``--set``.
 
@@ -84,18 +100,59 @@ def parse(model: type[Model], data: dict[str, Any], source: str) -> Model:
     ConfigError
         One line: source, key, value, and what is allowed.
     """
+    chosen = with_nulls(model, data)
     try:
-        return model.model_validate_json(json.dumps(_nulls(data), default=str), strict=True)
+        if _has_settings(chosen):  # JSON would lose their classes
+            return model.model_validate(chosen)
+        return model.model_validate_json(json.dumps(chosen, default=_as_json), strict=True)
     except ValidationError as error:
         raise ConfigError(f"{source}: {describe(error, model, data)}") from error
 
 
-def _nulls(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {key: _nulls(value) for key, value in data.items()}
-    if isinstance(data, list):
-        return [_nulls(value) for value in data]
-    return None if data == "none" else data
+def with_nulls(annotated: Any, data: Any) -> Any:
+    """Copy of plain data with None for the text ``"none"`` wherever what it is validated as may be None."""
+    annotation = annotated[0] if isinstance(annotated, tuple) else annotated
+    if isinstance(data, Mapping):
+        model = _model_for(annotated, data)
+        if model is None:
+            return {key: _in_parts(annotation, key, value) for key, value in data.items()}
+        fields = {field.alias or name: (field.annotation, field.metadata) for name, field in model.model_fields.items()}
+        return {key: with_nulls(fields.get(key), value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_in_parts(annotation, index, item) for index, item in enumerate(data)]
+    return None if isinstance(data, str) and data == "none" and type(None) in _alternatives(annotation) else data
+
+
+def _in_parts(annotation: Any, key: Any, data: Any) -> Any:
+    """:func:`with_nulls` of one element of a list or table."""
+    for part in _alternatives(annotation):
+        inside = typing.get_args(part)
+        if typing.get_origin(part) is dict and isinstance(key, str):
+            return with_nulls(inside[1], data)
+        if typing.get_origin(part) in (tuple, list) and isinstance(key, int):
+            place = min(key, len(inside) - (2 if inside[-1] is ... else 1))
+            return with_nulls(inside[place], data)
+    return with_nulls(None, data)
+
+
+def _alternatives(annotation: Any) -> list[Any]:
+    """The types of a union, without what is annotated about them; of any other annotation itself."""
+    if hasattr(annotation, "__metadata__"):
+        return _alternatives(annotation.__origin__)
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        return [part for one in typing.get_args(annotation) for part in _alternatives(one)]
+    return [annotation]
+
+
+def _has_settings(data: Any) -> bool:
+    if isinstance(data, dict | list):
+        return any(_has_settings(item) for item in (data.values() if isinstance(data, dict) else data))
+    return isinstance(data, BaseModel)
+
+
+def _as_json(value: Any) -> Any:
+    """Arrays and numbers of NumPy as numbers; times and dates of TOML as text."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def describe(error: ValidationError, model: type[BaseModel], data: Any) -> str:

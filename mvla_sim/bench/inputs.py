@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.scene.scene_settings import SceneSettings
 from mvla_sim.scene.views import Views
+from mvla_sim.scene.world import SceneSettings
 from mvla_sim.settings import parse
 
 __all__ = ["DEFAULT_RAYS", "EXTENT_M", "GRID_M", "RESOLUTION_M", "grid_of", "ring", "scene_settings"]

@@ -10,12 +10,11 @@ from scipy.ndimage import distance_transform_edt
 from shapely import Polygon
 
 from mvla_sim.bench.child import Job
-from mvla_sim.bench.inputs import grid_of, scene_settings
+from mvla_sim.bench.inputs import grid_of
 from mvla_sim.evaluation.ground_truth import TruthGeometry, rasterize
 from mvla_sim.evaluation.tuning import optimal_thresholds
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.scene.scene_settings import Star
-from mvla_sim.scene.shapes import outline
+from mvla_sim.scene.shapes.star import Star
 
 __all__ = ["SearchJob", "TruthJob"]
 
@@ -24,9 +23,7 @@ WAVES = 24
 
 def star() -> Polygon:
     """Outline of the paper's star, metres."""
-    settings = scene_settings("star", 4, 4).objects[0]
-    assert isinstance(settings, Star)
-    return outline(settings, "star")
+    return Star().outline()
 
 
 class TruthJob(Job):

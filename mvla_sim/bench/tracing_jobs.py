@@ -42,7 +42,7 @@ class TracingJob(Job):
         """Build, trace and write a scene."""
         turn = 360 * math.modf((number + 1) * GOLDEN)[0]  # no two scenes look alike from any two views
         settings = scene_settings(self.shape, self.views, self.rays, turn, **self.more)
-        self.cir = simulate(Scene.from_settings(settings), cache=False)
+        self.cir = simulate(Scene(settings), cache=False)
         self.cir.save(self.file)
 
     def facts(self) -> dict[str, float]:

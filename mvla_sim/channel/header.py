@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 import shapely
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from mvla_sim.errors import DataError, MvlaError
 from mvla_sim.netcdf import Variable, check_schema, read_netcdf, table_of, write_netcdf
 from mvla_sim.ragged import Ragged
-from mvla_sim.scene.antenna import self_contained
-from mvla_sim.scene.antenna_settings import AntennaSettings, Omni
+from mvla_sim.scene.antenna import ANTENNAS, Antenna
+from mvla_sim.scene.antennas.omni import Omni
 from mvla_sim.scene.views import Views
 from mvla_sim.settings import Settings, parse
 
@@ -48,7 +48,7 @@ _DAMAGED = (ValueError, TypeError, IndexError, KeyError, ZeroDivisionError, shap
 
 
 class _Holder(Settings):
-    antenna: AntennaSettings = Omni()
+    antenna: Annotated[Antenna, ANTENNAS] = Omni()
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -86,7 +86,7 @@ class Channel:
     bandwidth_hz: float
     extent_m: float = float("nan")
     outline: Any = None
-    antenna: AntennaSettings = field(default_factory=Omni)
+    antenna: Antenna = field(default_factory=Omni)
     config: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
 
@@ -140,7 +140,7 @@ class Channel:
             "schema_version": self.VERSION,
             "config": json.dumps(dict(self.config), sort_keys=True),
             "provenance": json.dumps(dict(self.provenance), sort_keys=True),
-            "antenna": self_contained(self.antenna).model_dump_json(),
+            "antenna": self.antenna.self_contained().model_dump_json(),
         }
         if self.outline is not None:
             attributes["target_outline_wkt"] = shapely.to_wkt(self.outline, rounding_precision=9)

@@ -39,8 +39,9 @@ from numpy.typing import NDArray
 from mvla_sim.channel.cir import INTERACTIONS
 from mvla_sim.engine.backend import activate_sionna
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene.antenna import Antenna, build_antenna
-from mvla_sim.scene.scene_settings import CustomMaterial, RayTracingSettings
+from mvla_sim.scene.antenna import AntennaPattern
+from mvla_sim.scene.material import CustomMaterial
+from mvla_sim.scene.radio import RayTracingSettings
 from mvla_sim.scene.world import Scene, SceneObject
 from mvla_sim.streams import Stream, stream
 
@@ -129,7 +130,7 @@ def plan_passes(settings: RayTracingSettings) -> list[_Pass]:
 class _Beam:
     """The antennas of one view: pattern, transmitter [3] and receiver [3] in metres, boresight [3]."""
 
-    antenna: Antenna
+    antenna: AntennaPattern
     transmitter_m: NDArray[np.float64]
     receiver_m: NDArray[np.float64]
     boresight: NDArray[np.float64]
@@ -160,7 +161,7 @@ class ViewTracer:
         self._passes = plan_passes(self._settings)
         self._vertices = np.concatenate([np.asarray(o.mesh.vertices, np.float64) for o in scene.objects])
         self._carrier_hz = scene.settings.radio.carrier_hz
-        self._antenna = build_antenna(scene.settings.radio.antenna)
+        self._antenna = scene.settings.radio.antenna.pattern()
         self._scene = self._build(scene)
         self._solver = self._rt.PathSolver(deterministic=True)
         self._counter = _CountingGenerator(self._solver._candidate_generator)

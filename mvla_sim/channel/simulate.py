@@ -21,7 +21,6 @@ from mvla_sim.errors import DataError, MvlaError, OutputError
 from mvla_sim.interrupt import deferred_interrupt
 from mvla_sim.progress import progress
 from mvla_sim.scene import antenna
-from mvla_sim.scene.antenna_settings import Omni
 from mvla_sim.scene.world import Scene
 
 __all__ = ["SimulationInterruptedError", "cache_file", "simulate"]
@@ -116,7 +115,7 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
 def _trace(tracer: ViewTracer, scene: Scene, number: int) -> ViewPaths:
     views = scene.views
     receiver = None if views.receivers_m is None else views.receivers_m[number]
-    boresight = None if isinstance(scene.settings.radio.antenna, Omni) else views.directions[number]
+    boresight = views.directions[number] if scene.settings.radio.antenna.directional else None
     label = f"{scene.name}, view {number}"
     return tracer.trace(views.positions_m[number], label, receiver_m=receiver, boresight=boresight)
 

@@ -20,7 +20,6 @@ from mvla_sim.constants import range_to_delay
 from mvla_sim.dsp import path_spectrum
 from mvla_sim.errors import ConfigError, DataError, OutputError
 from mvla_sim.memory import check_memory
-from mvla_sim.scene.antenna import build_antenna
 from mvla_sim.settings import Settings
 from mvla_sim.streams import Stream, stream
 
@@ -239,7 +238,7 @@ def _echo(echo: EchoSettings, frequency_hz: NDArray[np.float64]) -> NDArray[np.c
 
 def _sphere(cir: Cir, settings: SynthesisSettings, frequency_hz: NDArray[np.float64]) -> NDArray[np.complex128]:
     assert settings.reference_range_m is not None
-    antenna = build_antenna(cir.antenna)
+    antenna = cir.antenna.pattern()
     gain = echo_gain("sphere", settings.reference_range_m, settings.reference_radius_m, cir.carrier_hz)
     level_db = 20 * np.log10(gain) + (0.0 if antenna is None else 2 * antenna.gain_dbi)
     return _echo(EchoSettings(range_m=settings.reference_range_m, gain_db=level_db), frequency_hz)

@@ -9,121 +9,53 @@ import os
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, field_validator, model_validator
 
-from mvla_sim.distributions import Drawn, Listed, Real, TextChoice, Weight, Whole, bounded, values_of
+from mvla_sim.dataset.families import FamilySettings, Name
+from mvla_sim.distributions import Listed, Real, bounded, draw, values_of
 from mvla_sim.grid import GridSettings
-from mvla_sim.scene.antenna_settings import PatternFile
-from mvla_sim.scene.scene_settings import ItuMaterial, RadioSettings, RayTracingSettings
-from mvla_sim.scene.trajectory_settings import whole_turn
+from mvla_sim.scene.radio import RadioSettings, RayTracingSettings
+from mvla_sim.scene.trajectories.arc import Arc
+from mvla_sim.scene.trajectories.circle import Circle
+from mvla_sim.scene.trajectories.turntable import Turntable
+from mvla_sim.scene.trajectory import Trajectory, whole_turn
 from mvla_sim.settings import Settings, apply_overrides, parse, read_toml
+from mvla_sim.shipped import find
 
-__all__ = [
-    "SPLITS", "CampaignSettings", "CampaignTrajectory", "FamilySettings", "SplitSettings", "load_campaign",
-]  # fmt: skip
+__all__ = ["SPLITS", "CampaignSettings", "SplitSettings", "load_campaign"]
 
 SPLITS = ("train", "validation", "test")
 MOST_VOXELS = 16_000_000
 """Of a sample's occupancy."""
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w-]*$", max_length=80)]
+Point3 = tuple[float, float, float]
 
 
-class MaterialChoice(TextChoice):
-    """One of the materials listed."""
-
-    choices: Annotated[tuple[ItuMaterial, ...], Field(min_length=1)]
-
-
-class FamilyBase(Settings):
-    """What every family has: how often it is drawn, and size, place and surface of its objects.
-
-    All objects of a sample are of one family, and each is drawn on its own. ``size_m`` is the paper's extent D where it
-    gives one: diameter, side of square or triangle; of a rectangle the length, of the others the diameter of the
-    circle about the object's centre that its outermost point lies on.
-    """
-
-    name: Name
-    weight: Weight = Field(1.0, description="how often the family is drawn, relative to the others")
-    objects: Annotated[Whole, bounded(least=1, most=100)] = Field(1, description="objects of a sample")
-    size_m: Annotated[Real, bounded(least=0.001)]
-    x_m: Real = Field(0.0, description="of an object's centre, from the middle of the grid")
-    y_m: Real = 0.0
-    rotation_deg: Real = 0.0
-    height_m: Annotated[Real, bounded(above=0)] = 2.0
-    material: Annotated[ItuMaterial, Drawn(MaterialChoice)] = Field("metal", description="ITU-R P.2040 names")
-    scattering_coefficient: Annotated[Real, bounded(least=0, most=1)] = 0.1
-
-
-class CircleFamily(FamilyBase):
-    """Cylinders."""
-
-    shape: Literal["circle"]
-    facets: Annotated[int, Field(ge=3, le=10_000)] = 360
-
-
-class SquareFamily(FamilyBase):
-    """Squares."""
-
-    shape: Literal["square"]
-
-
-class RectangleFamily(FamilyBase):
-    """Rectangles."""
-
-    shape: Literal["rectangle"]
-    aspect: Annotated[Real, bounded(above=0, most=1)] = Field(description="width over length")
-
-
-class TriangleFamily(FamilyBase):
-    """Equilateral triangles."""
-
-    shape: Literal["triangle"]
-
-
-class StarFamily(FamilyBase):
-    """Star polygons."""
-
-    shape: Literal["star"]
-    points: Annotated[Whole, bounded(least=3, most=100)] = 5
-    inner_ratio: Annotated[Real, bounded(above=0, below=1)] = Field(description="inner over outer radius")
-
-
-class PolygonFamily(FamilyBase):
-    """Random simple polygons: corners in rising direction about the centre, at random directions and radii."""
-
-    shape: Literal["polygon"]
-    corners: Annotated[Whole, bounded(least=3, most=100)] = 6
-    roughness: Annotated[Real, bounded(least=0, most=0.95)] = Field(
-        0.5, description="radii of the corners are uniform between 1 - roughness and 1 times the largest"
-    )
-
-
-class SmoothFamily(FamilyBase):
-    """Random smooth closed outlines: a circle whose radius is modulated by a few random Fourier terms."""
-
-    shape: Literal["smooth"]
-    harmonics: Annotated[Whole, bounded(least=2, most=20)] = Field(4, description="highest Fourier term; terms from 2")
-    roughness: Annotated[Real, bounded(least=0, most=0.95)] = Field(
-        0.5, description="the terms' amplitudes add up to this share of the mean radius"
-    )
-    facets: Annotated[int, Field(ge=12, le=2000)] = 120
-
-
-FamilySettings = Annotated[
-    CircleFamily | SquareFamily | RectangleFamily | TriangleFamily | StarFamily | PolygonFamily | SmoothFamily,
-    Field(discriminator="shape"),
-]
-
-
-class CampaignTrajectoryBase(Settings):
+class RandomTrajectory(Settings):
     """What all trajectories have; distances are from the middle of the grid, heights from its layer."""
 
     interval_deg: Annotated[Listed, bounded(least=0.01, most=360)] = 1.0
     height_m: Real = 0.0
     pair_separation_m: Annotated[Real, bounded(least=0)] = 0.0
+    radius_m: Annotated[Real, bounded(above=0)] = Field(10.0, description="of a turntable: from the axis to the sensor")
+
+    def drawn(self, center_m: Point3, random: np.random.Generator) -> Trajectory:
+        """Draw a trajectory about a point, metres."""
+        interval, height, separation, radius = (
+            draw(value, random) for value in (self.interval_deg, self.height_m, self.pair_separation_m, self.radius_m)
+        )
+        x, y, z = center_m
+        common = {"interval_deg": interval, "pair_separation_m": separation}
+        return self.placed((x, y, z + height), radius, random, common)
+
+    def placed(
+        self, center_m: Point3, radius_m: float, random: np.random.Generator, common: dict[str, float]
+    ) -> Trajectory:
+        """Put a trajectory about a point, and draw what only this kind has."""
+        raise NotImplementedError
 
 
-class FullTurn(CampaignTrajectoryBase):
+class FullTurn(RandomTrajectory):
     """All the way round; the interval must divide 360°."""
 
     @field_validator("interval_deg")
@@ -134,38 +66,57 @@ class FullTurn(CampaignTrajectoryBase):
         return value
 
 
-class CircleCampaign(FullTurn):
+class RandomCircle(FullTurn):
     """A sensor that goes round the target."""
 
     kind: Literal["circle"] = "circle"
-    radius_m: Annotated[Real, bounded(above=0)] = 10.0
     start_deg: Real = 0.0
 
+    def placed(
+        self, center_m: Point3, radius_m: float, random: np.random.Generator, common: dict[str, float]
+    ) -> Circle:
+        """A circle about the point."""
+        start = draw(self.start_deg, random)
+        return Circle(radius_m=radius_m, start_deg=start, center_m=center_m[:2], height_m=center_m[2], **common)
 
-class TurntableCampaign(FullTurn):
+
+class RandomTurntable(FullTurn):
     """A target that turns counter-clockwise before a fixed sensor."""
 
     kind: Literal["turntable"]
-    radius_m: Annotated[Real, bounded(above=0)] = Field(10.0, description="from the axis to the sensor")
+
+    def placed(
+        self, center_m: Point3, radius_m: float, random: np.random.Generator, common: dict[str, float]
+    ) -> Turntable:
+        """A turntable whose axis is at the point, and the sensor on its +x side."""
+        del random
+        x, y, z = center_m
+        return Turntable(sensor_m=(x + radius_m, y, z), axis_m=(x, y), **common)
 
 
-class ArcCampaign(CampaignTrajectoryBase):
+class RandomArc(RandomTrajectory):
     """Part of a circle."""
 
     kind: Literal["arc"]
-    radius_m: Annotated[Real, bounded(above=0)] = 10.0
     start_deg: Real = 0.0
     span_deg: Annotated[Real, bounded(above=0, below=360)]
 
     @model_validator(mode="after")
-    def _check(self) -> ArcCampaign:
+    def _check(self) -> RandomArc:
         narrow, wide = min(values_of(self.span_deg)), max(values_of(self.interval_deg))
         if narrow < wide:
             raise ValueError(f"span_deg may be {narrow:g}, which is below interval_deg = {wide:g}")
         return self
 
+    def placed(self, center_m: Point3, radius_m: float, random: np.random.Generator, common: dict[str, float]) -> Arc:
+        """An arc about the point."""
+        start = draw(self.start_deg, random)
+        stop = start + draw(self.span_deg, random)
+        x, y, z = center_m
+        return Arc(radius_m=radius_m, start_deg=start, stop_deg=stop, center_m=(x, y), height_m=z, **common)
 
-CampaignTrajectory = Annotated[CircleCampaign | TurntableCampaign | ArcCampaign, Field(discriminator="kind")]
+
+CampaignTrajectory = Annotated[RandomCircle | RandomTurntable | RandomArc, Field(discriminator="kind")]
 
 
 class SplitSettings(Settings):
@@ -198,7 +149,7 @@ class CampaignSettings(Settings):
     samples_per_shard: Annotated[int, Field(ge=1, le=10_000)] = 20
     split: SplitSettings = SplitSettings()
     families: Annotated[tuple[FamilySettings, ...], Field(min_length=1)]
-    trajectory: CampaignTrajectory = CircleCampaign()
+    trajectory: CampaignTrajectory = RandomCircle()
     radio: RadioSettings = RadioSettings()
     ray_tracing: RayTracingSettings = RayTracingSettings()
     grid: GridSettings = Field(GridSettings(), description="of the occupancy; objects lie wholly inside it")
@@ -218,8 +169,8 @@ class CampaignSettings(Settings):
             raise ValueError(
                 f"grid.spacing_m = {self.grid.spacing_m:g} makes {voxels:.2g} voxels; at most {MOST_VOXELS:g}"
             )
-        if isinstance(self.radio.antenna, PatternFile):
-            raise ValueError("radio.antenna.kind = 'file': a campaign is one file; allowed: omni, horn")  # noqa: TRY004
+        if "file" in type(self.radio.antenna).model_fields:
+            raise ValueError("radio.antenna.kind = 'file': a campaign is one file; allowed: omni, horn")
         if self.ray_tracing.seed != 1:
             raise ValueError(
                 f"ray_tracing.seed = {self.ray_tracing.seed}: every sample draws its own from the campaign's seed"
@@ -252,7 +203,7 @@ def load_campaign(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -
     Parameters
     ----------
     path
-        A TOML file as ``experiments/benchmark-small.toml``.
+        A TOML file, or the bare name of one that comes with the package, as ``benchmark-small``.
     overrides
         ``dotted.key=value`` texts, as with ``--set``.
 
@@ -261,7 +212,8 @@ def load_campaign(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -
     DataError, ConfigError
         One line that names the file, the key, its value and what is allowed.
     """
-    data = apply_overrides(read_toml(path, "campaign file"), overrides)
+    file = find("experiments", path)
+    data = apply_overrides(read_toml(file, "campaign file"), overrides)
     if isinstance(data.get("trajectory"), dict):
         data["trajectory"].setdefault("kind", "circle")
-    return parse(CampaignSettings, data, str(path))
+    return parse(CampaignSettings, data, str(file))

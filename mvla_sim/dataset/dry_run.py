@@ -156,7 +156,7 @@ def _probes(campaign: CampaignSettings) -> list[_Probe]:
 def _probe(campaign: CampaignSettings, number: int, weight: float) -> _Probe:
     """Trace some views of a sample."""
     settings = draw_sample(campaign, number)
-    whole = Scene.from_settings(settings, settings.name)
+    whole = Scene(settings, source=settings.name)
     views = len(whole.views)
     chosen = np.unique(np.linspace(0, views - 1, min(PROBED_VIEWS, views)).astype(np.intp))
     part = replace(whole, views=whole.views.select(chosen))

@@ -20,7 +20,7 @@ from mvla_sim.dataset.access import BenchmarkDataset, Sample
 from mvla_sim.errors import ConfigError, DataError, OutputError
 from mvla_sim.files import atomic_output, check_writable
 from mvla_sim.progress import progress
-from mvla_sim.scene.scene_settings import SceneSettings
+from mvla_sim.scene.world import SceneSettings
 
 __all__ = ["export_mat", "export_npz"]
 

@@ -39,7 +39,7 @@ from mvla_sim.files import existing_file
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.netcdf import check_heaps
 from mvla_sim.ragged import Rows
-from mvla_sim.scene.scene_settings import SceneSettings
+from mvla_sim.scene.world import SceneSettings
 from mvla_sim.settings import parse
 
 __all__ = ["ShardReader"]

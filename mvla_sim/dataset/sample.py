@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -16,29 +15,14 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from mvla_sim.dataset.campaign import (
-    SPLITS,
-    ArcCampaign,
-    CampaignSettings,
-    CircleFamily,
-    FamilySettings,
-    PolygonFamily,
-    RectangleFamily,
-    SmoothFamily,
-    SquareFamily,
-    StarFamily,
-    TriangleFamily,
-    TurntableCampaign,
-)
-from mvla_sim.dataset.outlines import random_polygon, smooth_outline
-from mvla_sim.distributions import Choice, TextChoice, Uniform, WholeChoice, WholeUniform
+from mvla_sim.dataset.campaign import SPLITS, CampaignSettings
+from mvla_sim.dataset.families import FamilySettings
+from mvla_sim.distributions import draw, weighted
 from mvla_sim.errors import ConfigError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.scene.scene_settings import ObjectSettings, SceneSettings
-from mvla_sim.scene.shapes import outline
-from mvla_sim.scene.trajectory import build_views
-from mvla_sim.scene.trajectory_settings import TrajectorySettings
-from mvla_sim.settings import Settings, parse
+from mvla_sim.scene.shape import Prism
+from mvla_sim.scene.trajectory import Trajectory
+from mvla_sim.scene.world import SceneSettings
 from mvla_sim.streams import Stream, stream
 
 __all__ = ["check_room", "draw_sample", "family_of", "split_of", "splits_of"]
@@ -49,18 +33,7 @@ DRAWS: Final = 30
 """How often a whole sample is drawn before it fails."""
 TRIED: Final = 10
 """Scenes of each family that are drawn before work starts, to find out whether there is room for any."""
-DECIMALS: Final = 6
 TRACING_SEEDS: Final = 2**31
-
-Plain = dict[str, Any]
-
-
-class _Object(Settings):
-    object: ObjectSettings
-
-
-class _Trajectory(Settings):
-    trajectory: TrajectorySettings
 
 
 def draw_sample(campaign: CampaignSettings, k: int) -> SceneSettings:
@@ -94,7 +67,14 @@ def draw_sample(campaign: CampaignSettings, k: int) -> SceneSettings:
     family = _family(campaign, random)
     tracing_seed = _below(random, TRACING_SEEDS)
     objects, trajectory = _arrange(campaign, family, random, f"{campaign.name}: sample {k}")
-    return _scene(campaign, k, objects, trajectory, tracing_seed)
+    return SceneSettings(
+        name=f"{campaign.name}-{k:06d}",
+        objects=tuple(objects),
+        trajectory=trajectory,
+        radio=campaign.radio,
+        ray_tracing=campaign.ray_tracing.model_copy(update={"seed": tracing_seed}),
+        plane_height_m=campaign.grid.center_m[2],
+    )
 
 
 def family_of(campaign: CampaignSettings, k: int) -> FamilySettings:
@@ -131,7 +111,8 @@ def split_of(campaign: CampaignSettings, k: int) -> str:
 
     Examples
     --------
-    >>> from mvla_sim.dataset.campaign import CampaignSettings, SquareFamily
+    >>> from mvla_sim.dataset.campaign import CampaignSettings
+    >>> from mvla_sim.dataset.families import SquareFamily
     >>> family = SquareFamily(name="squares", shape="square", size_m=2.0)
     >>> campaign = CampaignSettings(name="c", samples=10, families=(family,))
     >>> sorted(split_of(campaign, k) for k in range(10))[-1]
@@ -170,55 +151,22 @@ def _check_number(campaign: CampaignSettings, k: int) -> None:
         raise ConfigError(f"{campaign.name}: sample {k}: there is none; allowed: 0 to {campaign.samples - 1}")
 
 
-def _scene(
-    campaign: CampaignSettings, k: int, objects: Sequence[Plain], trajectory: TrajectorySettings, tracing_seed: int
-) -> SceneSettings:
-    data = {
-        "name": f"{campaign.name}-{k:06d}",
-        "objects": list(objects),
-        "trajectory": trajectory.model_dump(mode="json"),
-        "radio": campaign.radio.model_dump(mode="json"),
-        "ray_tracing": campaign.ray_tracing.model_dump(mode="json") | {"seed": tracing_seed},
-        "plane_height_m": campaign.grid.center_m[2],
-    }
-    return parse(SceneSettings, data, f"{campaign.name}: sample {k}")
-
-
 def _below(random: np.random.Generator, count: int) -> int:
     """A whole number from 0 to below ``count``."""
     return min(int(random.random() * count), count - 1)
 
 
-def _draw(distribution: Any, random: np.random.Generator) -> Any:
-    """A value of a distribution; one number is taken from the stream whatever its kind."""
-    share = random.random()
-    if isinstance(distribution, Uniform):
-        value = round(distribution.min + (distribution.max - distribution.min) * share, DECIMALS)
-        return min(max(value, distribution.min), distribution.max)
-    if isinstance(distribution, WholeUniform):
-        return min(distribution.min + int(share * (distribution.max - distribution.min + 1)), distribution.max)
-    if isinstance(distribution, Choice | WholeChoice | TextChoice):
-        return distribution.choices[_weighted(distribution.weights or (1.0,) * len(distribution.choices), share)]
-    return distribution
-
-
-def _weighted(weights: Sequence[float], share: float) -> int:
-    """Index at which the running share of the weights passes ``share``."""
-    ends = np.cumsum(weights)
-    return min(int(np.searchsorted(ends, share * ends[-1], side="right")), len(weights) - 1)
-
-
 def _family(campaign: CampaignSettings, random: np.random.Generator) -> FamilySettings:
-    return campaign.families[_weighted([family.weight for family in campaign.families], random.random())]
+    return campaign.families[weighted([family.weight for family in campaign.families], random.random())]
 
 
 def _arrange(
     campaign: CampaignSettings, family: FamilySettings, random: np.random.Generator, source: str
-) -> tuple[list[Plain], TrajectorySettings]:
+) -> tuple[list[Prism], Trajectory]:
     """Objects of a sample in their places, and its trajectory."""
-    count = _draw(family.objects, random)
+    count = draw(family.objects, random)
     for _ in range(DRAWS):
-        trajectory = _trajectory(campaign, random)
+        trajectory = campaign.trajectory.drawn(campaign.grid.center_m, random)
         try:
             objects = _place(campaign, family, count, _sensors(campaign, trajectory, source), random)
         except ConfigError as error:
@@ -231,29 +179,10 @@ def _arrange(
     )
 
 
-def _trajectory(campaign: CampaignSettings, random: np.random.Generator) -> TrajectorySettings:
-    """Trajectory of a sample."""
-    settings = campaign.trajectory
-    x, y, z = campaign.grid.center_m
-    interval, height, separation, radius = (
-        _draw(value, random)
-        for value in (settings.interval_deg, settings.height_m, settings.pair_separation_m, settings.radius_m)
-    )
-    common: Plain = {"kind": settings.kind, "interval_deg": interval, "pair_separation_m": separation}
-    if isinstance(settings, TurntableCampaign):
-        data = common | {"sensor_m": [x + radius, y, z + height], "axis_m": [x, y]}
-        return parse(_Trajectory, {"trajectory": data}, "trajectory").trajectory
-    start = _draw(settings.start_deg, random)
-    data = common | {"radius_m": radius, "start_deg": start, "center_m": [x, y], "height_m": z + height}
-    if isinstance(settings, ArcCampaign):
-        data["stop_deg"] = start + _draw(settings.span_deg, random)
-    return parse(_Trajectory, {"trajectory": data}, "trajectory").trajectory
-
-
-def _sensors(campaign: CampaignSettings, trajectory: TrajectorySettings, source: str) -> BaseGeometry:
+def _sensors(campaign: CampaignSettings, trajectory: Trajectory, source: str) -> BaseGeometry:
     """Where transmitters and receivers stand, seen from above, metres."""
     x, y, _ = campaign.grid.center_m
-    views = build_views(trajectory, (x, y), f"{source}: trajectory")
+    views = trajectory.build_views((x, y), f"{source}: trajectory")
     places = [views.positions_m] if views.receivers_m is None else [views.positions_m, views.receivers_m]
     found = shapely.MultiPoint(np.concatenate(places)[:, :2])
     shapely.prepare(found)
@@ -274,20 +203,16 @@ def _place(
     count: int,
     sensors: BaseGeometry,
     random: np.random.Generator,
-) -> list[Plain] | None:
+) -> list[Prism] | None:
     """Objects that keep their distances, or None where one finds no place."""
     low, high = VoxelGrid.from_settings(campaign.grid).bounds_m()
     inside = shapely.box(low[0], low[1], high[0], high[1])
     shapely.prepare(inside)
-    placed: list[Plain] = []
+    placed: list[Prism] = []
     areas: list[BaseGeometry] = []
     for _ in range(count):
-        form = _form(family, random) | {
-            "height_m": _draw(family.height_m, random),
-            "material": _draw(family.material, random),
-            "scattering_coefficient": _draw(family.scattering_coefficient, random),
-        }
-        shape = outline(_object(form))
+        item = family.drawn(random)
+        shape = item.outline()
         for _ in range(PLACES):
             pose = _pose(campaign, family, random)
             area = _moved(shape, pose)
@@ -296,7 +221,7 @@ def _place(
                 and not _any_within(sensors, area, campaign.sensor_gap_m)
                 and not any(shapely.dwithin(other, area, campaign.object_gap_m) for other in areas)
             ):
-                placed.append(form | pose)
+                placed.append(item.model_copy(update=pose))
                 shapely.prepare(area)
                 areas.append(area)
                 break
@@ -305,47 +230,14 @@ def _place(
     return placed
 
 
-def _object(form: Plain) -> ObjectSettings:
-    return parse(_Object, {"object": form}, "object").object
-
-
-def _pose(campaign: CampaignSettings, family: FamilySettings, random: np.random.Generator) -> Plain:
+def _pose(campaign: CampaignSettings, family: FamilySettings, random: np.random.Generator) -> dict[str, Any]:
     x, y, z = campaign.grid.center_m
-    place = [x + _draw(family.x_m, random), y + _draw(family.y_m, random), z]
-    return {"position_m": place, "rotation_deg": _draw(family.rotation_deg, random)}
+    place = (x + draw(family.x_m, random), y + draw(family.y_m, random), z)
+    return {"position_m": place, "rotation_deg": draw(family.rotation_deg, random)}
 
 
-def _moved(shape: BaseGeometry, pose: Plain) -> BaseGeometry:
+def _moved(shape: BaseGeometry, pose: dict[str, Any]) -> BaseGeometry:
     """An outline turned about its object's centre and put in its place."""
     turn = math.radians(pose["rotation_deg"])
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     return shapely.transform(shape, lambda xy: xy @ rotation.T + pose["position_m"][:2])
-
-
-def _form(family: FamilySettings, random: np.random.Generator) -> Plain:
-    """Shape and size of one object, as in a scene file."""
-    size = _draw(family.size_m, random)
-    if isinstance(family, CircleFamily):
-        return {"shape": "circle", "radius_m": size / 2, "facets": family.facets}
-    if isinstance(family, SquareFamily):
-        return {"shape": "square", "side_m": size}
-    if isinstance(family, RectangleFamily):
-        return {"shape": "rectangle", "length_m": size, "width_m": _rounded(size * _draw(family.aspect, random))}
-    if isinstance(family, TriangleFamily):
-        return {"shape": "triangle", "altitude_m": _rounded(size * math.sqrt(3) / 2)}
-    if isinstance(family, StarFamily):
-        points, ratio = _draw(family.points, random), _draw(family.inner_ratio, random)
-        inner = _rounded(size / 2 * ratio)
-        return {"shape": "star", "points": points, "radius_m": size / 2, "inner_radius_m": inner}
-    if isinstance(family, PolygonFamily):
-        corners, roughness = _draw(family.corners, random), _draw(family.roughness, random)
-        vertices = random_polygon(random, corners, roughness)
-    else:
-        assert isinstance(family, SmoothFamily)
-        harmonics, roughness = _draw(family.harmonics, random), _draw(family.roughness, random)
-        vertices = smooth_outline(random, harmonics, roughness, family.facets)
-    return {"shape": "polygon", "vertices_m": np.round(size / 2 * vertices, DECIMALS).tolist()}
-
-
-def _rounded(length_m: float) -> float:
-    return max(round(length_m, DECIMALS), 10.0**-DECIMALS)

@@ -207,7 +207,7 @@ def make_sample(campaign: CampaignSettings, number: int, *, cache: bool = False)
         Take its channel from the cache of CIRs where it is there, and leave it there; see ``simulate``.
     """
     settings = draw_sample(campaign, number)
-    scene = Scene.from_settings(settings, settings.name)
+    scene = Scene(settings, source=settings.name)
     stored = shapely.from_wkt(_wkt(scene.outline))  # rounding must not part the occupancy from the outline
     metadata = {
         "sample": number,

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.imaging.imaging_settings import BeamSettings
-from mvla_sim.scene.antenna import Antenna, build_antenna, local_angles
-from mvla_sim.scene.antenna_settings import AntennaSettings
+from mvla_sim.scene.antenna import Antenna, AntennaPattern, local_angles
 
 __all__ = ["Beam", "build_beam"]
 
@@ -26,7 +25,7 @@ class Beam:
         One-way level below the peak at which the sector ends, dB.
     """
 
-    antenna: Antenna
+    antenna: AntennaPattern
     edge_db: float
 
     def covers(self, vectors_m: NDArray[np.float64], boresights: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -35,7 +34,7 @@ class Beam:
         return np.asarray(self.antenna.level_db(azimuth, elevation) >= self.edge_db, np.bool_)
 
 
-def build_beam(antenna: AntennaSettings, settings: BeamSettings) -> Beam | None:
+def build_beam(antenna: Antenna, settings: BeamSettings) -> Beam | None:
     """Beam of a channel's antenna; None where it is omnidirectional or the edge is switched off.
 
     Raises
@@ -43,5 +42,5 @@ def build_beam(antenna: AntennaSettings, settings: BeamSettings) -> Beam | None:
     DataError
         A pattern file that cannot be used.
     """
-    pattern = build_antenna(antenna)
+    pattern = antenna.pattern()
     return None if pattern is None or settings.edge_db is None else Beam(pattern, settings.edge_db)

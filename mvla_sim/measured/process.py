@@ -23,16 +23,16 @@ from mvla_sim.channel.readers.import_settings import ImportSettings, resolve_fil
 from mvla_sim.channel.readers.importing import import_channel
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.channel.synthesis import SynthesisSettings, synthesize, write_sweeps
-from mvla_sim.errors import ConfigError, OutputError
+from mvla_sim.errors import OutputError
 from mvla_sim.evaluation.boxes import Box, bounding_box, box_of_outline, largest_parts
 from mvla_sim.evaluation.evaluate import Evaluation, evaluate
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings
 from mvla_sim.imaging.pipeline import reconstruct
-from mvla_sim.scene.trajectory_settings import TurntableTrajectory, whole_turn
 from mvla_sim.scene.world import Scene
-from mvla_sim.settings import Settings, apply_overrides, parse, read_toml, resolve_beside
+from mvla_sim.settings import Settings, apply_overrides, parse, read_toml
+from mvla_sim.shipped import find
 
 __all__ = ["MeasurementSettings", "ProcessSettings", "Processed", "load_process", "process", "turn_between"]
 
@@ -87,27 +87,28 @@ class ProcessSettings(Settings):
 
 
 def load_process(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> ProcessSettings:
-    """Read the TOML file; names inside are relative to it, those of ``import`` after a ``measurement`` to its sweeps.
+    """Read the TOML file, or one that comes with the package.
+
+    Names inside are relative to it, those of ``import`` after a ``measurement`` to its sweeps; scenes may be shipped
+    ones.
 
     Raises
     ------
     DataError, ConfigError
         One line that names the file, the key, its value and what is allowed.
     """
-    data: dict[str, Any] = apply_overrides(read_toml(path, "process file"), overrides)
-    folder = Path(path).parent
-    for key in ("scene", "truth"):
-        if isinstance(data.get(key), str):
-            data[key] = resolve_beside(data[key], folder)
+    file = find("experiments", path)
+    data: dict[str, Any] = apply_overrides(read_toml(file, "process file"), overrides)
     made, source = data.get("measurement"), data.get("import")
-    if isinstance(made, dict) and isinstance(made.get("scene"), str):
-        made["scene"] = resolve_beside(made["scene"], folder)
+    for table, key in ((data, "scene"), (data, "truth"), (made, "scene")):
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            table[key] = str(find("scenes", table[key], file.parent))
     if isinstance(source, dict):
         if made is None:
-            resolve_files(source, folder)
+            resolve_files(source, file.parent)
         else:
             source.setdefault("source", SWEEPS)
-    return parse(ProcessSettings, data, str(path))
+    return parse(ProcessSettings, data, str(file))
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,12 +233,7 @@ def _measured(settings: MeasurementSettings, source: ImportSettings, folder: Pat
             old.unlink()
     except OSError as error:
         raise OutputError(f"{sweeps}: cannot be made or emptied ({error.strerror or error})") from error
-    trajectory = scene.settings.trajectory
-    angles = scene.views.angles_deg
-    if isinstance(trajectory, TurntableTrajectory):
-        if trajectory.heights_m is not None:
-            raise ConfigError(f"{settings.scene}: trajectory.heights_m: one file an angle cannot hold several heights")
-        angles = np.asarray(trajectory.interval_deg * np.arange(whole_turn(trajectory.interval_deg)), np.float64)
+    angles = scene.settings.trajectory.angles_in_names(scene.views, f"{settings.scene}: trajectory")
     write_sweeps(campaign, sweeps, scene.name, angles)
     chosen = source.sweeps
     update: dict[str, Any] = {}

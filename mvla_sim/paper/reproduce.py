@@ -19,6 +19,7 @@ from mvla_sim.paper.checks import measure_cost, measure_phase
 from mvla_sim.paper.report import draw_examples, write_report
 from mvla_sim.pictures.run_pictures import draw_run
 from mvla_sim.scene.world import Scene
+from mvla_sim.shipped import shipped_folder
 from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import Plan, expand
 from mvla_sim.sweep.run import RunResult, run_plan
@@ -87,6 +88,7 @@ def reproduce(
     DataError
         An experiment file is missing; nothing has run by then.
     """
+    experiments = experiments or shipped_folder("experiments")
     names = [name for name in EXPERIMENTS if not (quick and name in QUICK_SKIPS)]
     files = {name: _file(experiments, name) for name in (*names, *MEASURED)}
     seconds: dict[str, float] = {}
@@ -108,24 +110,19 @@ def reproduce(
         seconds[name] = time.perf_counter() - began
         yield MeasurementStep(chosen.name, done, written)
     began = time.perf_counter()
-    checks = {"c15": measure_cost(), "c16": measure_phase(simulate(_star(experiments)))}
-    _write(folder / "checks.json", checks)
+    star = Scene.load(experiments.parent / "scenes" / "star.toml")
+    _write(folder / "checks.json", {"c15": measure_cost(), "c16": measure_phase(simulate(star))})
     seconds["checks"] = time.perf_counter() - began
     _write(folder / "run.json", {"quick": quick, "seconds": seconds, "total_s": sum(seconds.values())})
     yield write_report(folder)
 
 
-def _file(experiments: Path | None, name: str) -> Path:
+def _file(experiments: Path, name: str) -> Path:
     """File of an experiment or measurement."""
-    file = (Path("experiments") if experiments is None else experiments) / f"{name}.toml"
+    file = experiments / f"{name}.toml"
     if not file.is_file():
         raise DataError(f"{file}: no such experiment file")
     return file
-
-
-def _star(experiments: Path | None) -> Scene:
-    """The scene of the check of phases."""
-    return Scene.load((Path("experiments") if experiments is None else experiments).parent / "scenes" / "star.toml")
 
 
 def _write(file: Path, data: dict[str, Any]) -> None:

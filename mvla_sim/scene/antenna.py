@@ -1,26 +1,66 @@
-"""Antenna patterns: a level over azimuth and one over elevation, about the direction in which the antenna points."""
+"""Antennas: a level over azimuth and one over elevation, about the direction in which the antenna points.
+
+The kinds are in :mod:`mvla_sim.scene.antennas`; whoever adds one derives it from :class:`Antenna`.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from mvla_sim.errors import DataError
-from mvla_sim.scene.antenna_settings import AntennaSettings, Horn, Omni, PatternCuts, PatternFile
-from mvla_sim.scene.positions import read_columns
+from mvla_sim.kinds import Kind, Kinds
 
-__all__ = ["STEP_DEG", "Antenna", "build_antenna", "local_angles", "self_contained"]
+__all__ = [
+    "ANTENNAS", "AZIMUTHS_DEG", "ELEVATIONS_DEG", "STEP_DEG", "Antenna", "AntennaPattern", "PeakGain", "local_angles",
+]  # fmt: skip
 
 STEP_DEG = 0.25
-HALF_POWER_DB = 10 * np.log10(2)
 AZIMUTHS_DEG = np.linspace(-180.0, 180.0, round(360 / STEP_DEG) + 1)
 ELEVATIONS_DEG = np.linspace(-90.0, 90.0, round(180 / STEP_DEG) + 1)
+"""Nodes of the two cuts."""
+
+PeakGain = Annotated[
+    float | None, Field(description="peak gain in dBi; by default the directivity of the pattern itself")
+]
+
+ANTENNAS: Kinds[Antenna] = Kinds("antenna", "mvla_sim.antennas", "mvla_sim.scene.antennas", key="kind")
+"""All antennas by name."""
 
 
-@dataclass(frozen=True, eq=False)
-class Antenna:
+class Antenna(Kind):
+    """An antenna, the same for transmitter and receiver. A setting ``file`` is relative to the file of the scene."""
+
+    kinds: ClassVar[Kinds[Any]] = ANTENNAS
+    directional: ClassVar[bool] = True
+    """Whether it has a pattern; without one it is isotropic, and need not be pointed."""
+
+    def pattern(self) -> AntennaPattern | None:
+        """Its pattern; None where it is not directional. Each kind of antenna has its own.
+
+        Raises
+        ------
+        DataError
+            A pattern file that cannot be used.
+        """
+        raise NotImplementedError
+
+    def self_contained(self) -> Antenna:
+        """The same antenna without any file beside it.
+
+        Raises
+        ------
+        DataError
+            A pattern file that cannot be used.
+        """
+        return self
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AntennaPattern:
     """A pattern made of its two principal cuts: level(az, el) = azimuth_db(az) + elevation_db(el), but no lower than
     the floor.
 
@@ -44,6 +84,9 @@ class Antenna:
     floor_db: float
     gain_dbi: float
 
+    def __repr__(self) -> str:
+        return f"AntennaPattern({self.gain_dbi:.2f} dBi, floor {self.floor_db:g} dB)"
+
     def level_db(self, azimuth_deg: NDArray[np.float64], elevation_deg: NDArray[np.float64]) -> NDArray[np.float64]:
         """Level below the peak in directions off the boresight, dB, of the arrays' common shape."""
         level = np.interp(azimuth_deg, AZIMUTHS_DEG, self.azimuth_db)
@@ -55,50 +98,21 @@ class Antenna:
         level = self.level_db(*local_angles(vectors, boresights))
         return np.asarray(10 ** ((self.gain_dbi + level) / 20), np.float64)
 
+    @classmethod
+    def from_cuts(
+        cls,
+        azimuth_db: NDArray[np.float64],
+        elevation_db: NDArray[np.float64],
+        gain_dbi: float | None = None,
+        floor_db: float | None = None,
+    ) -> AntennaPattern:
+        """Pattern of two cuts.
 
-def build_antenna(settings: AntennaSettings) -> Antenna | None:
-    """Build the pattern of a settings block; None for an omnidirectional antenna.
-
-    Raises
-    ------
-    DataError
-        A pattern file that cannot be used.
-
-    Notes
-    -----
-    Horn, with half-power beamwidth β: Gaussian, level −10·log₁₀(2)·(2θ/β)² dB; cosine, 20·q·log₁₀ cos θ dB with q such
-    that it is half the power at β/2, and the floor beyond 90°.
-    """
-    if isinstance(settings, Omni):
-        return None
-    if isinstance(settings, PatternCuts):
-        azimuth, elevation = np.array(settings.azimuth_db), np.array(settings.elevation_db)
-        return Antenna(azimuth, elevation, float(min(azimuth.min(), elevation.min())), settings.gain_dbi)
-    if isinstance(settings, Horn):
-        vertical = settings.elevation_beamwidth_deg or settings.azimuth_beamwidth_deg
-        azimuth = _lobe(settings, settings.azimuth_beamwidth_deg, AZIMUTHS_DEG)
-        elevation = _lobe(settings, vertical, ELEVATIONS_DEG)
-        floor = settings.floor_db
-    else:
-        azimuth, elevation = _read_cuts(settings.file)
-        floor = float(min(azimuth.min(), elevation.min()))
-    gain = settings.gain_dbi if settings.gain_dbi is not None else _directivity_dbi(azimuth, elevation, floor)
-    return Antenna(azimuth, elevation, floor, gain)
-
-
-def self_contained(settings: AntennaSettings) -> AntennaSettings:
-    """Replace a pattern file by its cuts, to 0.001 dB; any other antenna stays as it is.
-
-    Raises
-    ------
-    DataError
-        A pattern file that cannot be used.
-    """
-    pattern = build_antenna(settings) if isinstance(settings, PatternFile) else None
-    if pattern is None:
-        return settings
-    cuts = (tuple(np.round(cut, 3).tolist()) for cut in (pattern.azimuth_db, pattern.elevation_db))
-    return PatternCuts(kind="cuts", azimuth_db=next(cuts), elevation_db=next(cuts), gain_dbi=pattern.gain_dbi)
+        By default the peak gain is the directivity of the pattern itself, and the floor the lowest level of the cuts.
+        """
+        floor = float(min(azimuth_db.min(), elevation_db.min())) if floor_db is None else floor_db
+        gain = _directivity_dbi(azimuth_db, elevation_db, floor) if gain_dbi is None else gain_dbi
+        return cls(azimuth_db, elevation_db, floor, gain)
 
 
 def local_angles(
@@ -121,39 +135,6 @@ def _frame(boresights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
     azimuth = np.arctan2(y, x)  # 0 where the boresight is vertical
     c, s = np.cos(azimuth), np.sin(azimuth)
     return np.stack([-s, c, 0 * c], axis=-1), np.stack([-z * c, -z * s, flat], axis=-1)
-
-
-def _lobe(settings: Horn, beamwidth_deg: float, angles_deg: NDArray[np.float64]) -> NDArray[np.float64]:
-    """One cut of a horn, down to its floor."""
-    if settings.shape == "gaussian":
-        level = -HALF_POWER_DB * (2 * angles_deg / beamwidth_deg) ** 2
-    else:
-        exponent = HALF_POWER_DB / (-20 * np.log10(np.cos(np.deg2rad(beamwidth_deg / 2))))
-        ahead = abs(angles_deg) < 90
-        cosine = np.cos(np.deg2rad(np.where(ahead, angles_deg, 0.0)))
-        level = np.where(ahead, 20 * exponent * np.log10(cosine), -np.inf)
-    return np.asarray(np.maximum(level, settings.floor_db), np.float64)
-
-
-def _read_cuts(name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Cuts of a pattern file relative to their peak; without an elevation cut the azimuth one serves for both."""
-    numbers, _ = read_columns(name, "antenna pattern file", ("angle_deg", "azimuth_db"), ("elevation_db",))
-    angles = numbers["angle_deg"]
-    order = np.argsort(angles)
-    angles = angles[order]
-    if len(angles) < 2 or (np.diff(angles) <= 0).any():
-        raise DataError(f"{name}: angle_deg needs at least two different angles, each once")
-    if angles[0] < -180 or angles[-1] > 180:
-        raise DataError(f"{name}: angle_deg goes from {angles[0]:g} to {angles[-1]:g}; allowed: -180 to 180 degrees")
-    if not angles[0] < 0 < angles[-1]:
-        raise DataError(f"{name}: angle_deg goes from {angles[0]:g} to {angles[-1]:g}; 0 must lie between")
-    cuts = []
-    for column, nodes in (("azimuth_db", AZIMUTHS_DEG), ("elevation_db", ELEVATIONS_DEG)):
-        level = numbers.get(column, numbers["azimuth_db"])[order]
-        level = level - level.max()
-        outside = level.min()  # what was not measured is taken as low as the lowest that was
-        cuts.append(np.interp(nodes, angles, level, left=outside, right=outside))
-    return cuts[0], cuts[1]
 
 
 def _directivity_dbi(azimuth: NDArray[np.float64], elevation: NDArray[np.float64], floor_db: float) -> float:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mvla_sim.errors import ConfigError, OutputError
 from mvla_sim.files import atomic_output
-from mvla_sim.scene.scene_settings import ObjectSettings
+from mvla_sim.scene.shape import Shape
 from mvla_sim.scene.world import Scene, SceneObject
 
 __all__ = ["export_mitsuba"]
@@ -65,7 +65,7 @@ def _surface(name: str) -> str:
     return f"mat-surface-{name}"
 
 
-def _material(name: str, settings: ObjectSettings, key: str) -> ET.Element:
+def _material(name: str, settings: Shape, key: str) -> ET.Element:
     if settings.scattering_coefficient > 0 and settings.scattering_pattern.kind != "lambertian":
         raise ConfigError(
             f"{key}.scattering_pattern.kind = '{settings.scattering_pattern.kind}': Sionna's scene files know only "

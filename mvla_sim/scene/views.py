@@ -15,7 +15,7 @@ UNIT = 1e-6
 """How far a boresight's length may be from 1; it is then made 1."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Views:
     """Sensor positions T_m in the target's frame, in the order they are measured.
 
@@ -75,6 +75,12 @@ class Views:
 
     def __len__(self) -> int:
         return len(self.positions_m)
+
+    def __repr__(self) -> str:
+        (x, y), away = self.center_m, self.midpoints_m[:, :2] - self.center_m
+        distance = np.hypot(away[:, 0], away[:, 1])
+        pairs = "" if self.receivers_m is None else ", transmitters apart from receivers"
+        return f"Views({len(self)}, {distance.min():.4g} to {distance.max():.4g} m from ({x:g}, {y:g}){pairs})"
 
     def select(self, indices: NDArray[np.intp]) -> Views:
         """Views of the given indices ``[n]``, in that order."""

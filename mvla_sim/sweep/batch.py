@@ -32,7 +32,7 @@ from mvla_sim.imaging.observation import FrontEnd, Observation
 from mvla_sim.imaging.pdp import Pdp, compute_pdp, gate_for
 from mvla_sim.imaging.peaks import Peaks, extract_peaks
 from mvla_sim.imaging.pipeline import check_peaks, chosen_views
-from mvla_sim.scene.antenna_settings import AntennaSettings
+from mvla_sim.scene.antenna import Antenna
 from mvla_sim.scene.views import Views
 from mvla_sim.sweep.case import MAP, Case, Row
 
@@ -66,7 +66,7 @@ class Channel:
     pdp: Pdp
     extent_m: float
     outline: Any
-    antenna: AntennaSettings
+    antenna: Antenna
     true_views: Views | None = None
 
     @property

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 
 from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings
 from mvla_sim.imaging.methods.registry import find_method
-from mvla_sim.scene.scene_settings import SceneSettings
+from mvla_sim.scene.world import SceneSettings
 from mvla_sim.sweep.experiment import AxisValue
 
 __all__ = ["MAP", "ROW_SCHEMA", "Case", "Row", "case_key", "flatten", "setting_columns"]

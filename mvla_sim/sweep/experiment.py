@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from mvla_sim.imaging.imaging_settings import SHORT_NAMES, EvaluationSettings, ImagingSettings
 from mvla_sim.settings import Settings, apply_overrides, parse, read_toml, resolve_beside
+from mvla_sim.shipped import find
 
 __all__ = [
     "ALL",
@@ -156,22 +156,22 @@ class ExperimentSettings(Settings):
 
 
 def load_experiment(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> ExperimentSettings:
-    """Read an experiment file; scene files are relative to it.
+    """Read an experiment file, or one that comes with the package; scenes are files relative to it, or shipped ones.
 
     Raises
     ------
     DataError, ConfigError
         One line that names the file, the key, its value and what is allowed.
     """
-    data: dict[str, Any] = apply_overrides(read_toml(path, "experiment file"), overrides)
+    file = find("experiments", path)
+    data: dict[str, Any] = apply_overrides(read_toml(file, "experiment file"), overrides)
     if isinstance(data.get("scenes"), list):
-        folder = Path(path).parent
-        data["scenes"] = [resolve_beside(s, folder) if isinstance(s, str) else s for s in data["scenes"]]
+        data["scenes"] = [str(find("scenes", s, file.parent)) if isinstance(s, str) else s for s in data["scenes"]]
     if isinstance(data.get("variants"), str):
-        variants = resolve_beside(data["variants"], Path(path).parent)
+        variants = resolve_beside(data["variants"], file.parent)
         data["variants"] = read_toml(variants, "file of variants").get("variants", [])
     if isinstance(data.get("axes"), dict):
         data["axes"] = {
             key: [ALL] if value == ALL and dotted_key(key) == OFFSET else value for key, value in data["axes"].items()
         }
-    return parse(ExperimentSettings, data, str(path))
+    return parse(ExperimentSettings, data, str(file))

@@ -14,8 +14,7 @@ from mvla_sim.channel.simulate import cache_file
 from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings, ViewSettings
 from mvla_sim.imaging.pipeline import select_views
-from mvla_sim.scene.scene_settings import SceneSettings, load_scene
-from mvla_sim.scene.world import Scene
+from mvla_sim.scene.world import Scene, SceneSettings, load_scene
 from mvla_sim.settings import assign, parse
 from mvla_sim.sweep.calibration import Calibration
 from mvla_sim.sweep.case import Case, case_key, setting_columns
@@ -164,7 +163,7 @@ class _Builder:
                 for axis, value in chosen.items():
                     assign({"scene": data}, self.keys[axis], _plain(value), f"{self.source}.{axis}")
                 settings = parse(SceneSettings, data, self.source)
-            scene = Scene.from_settings(settings, name)
+            scene = Scene(settings, source=name)
             self._channels[place] = cache_file(scene).stem
             self.scenes.setdefault(self._channels[place], scene)
             self._parsed[place] = settings

@@ -6,9 +6,8 @@ import numpy as np
 
 from mvla_sim.channel.cir import Cir
 from mvla_sim.constants import range_to_delay
-from mvla_sim.scene.scene_settings import SceneSettings
 from mvla_sim.scene.views import Views
-from mvla_sim.scene.world import Scene
+from mvla_sim.scene.world import Scene, SceneSettings
 from mvla_sim.settings import parse
 
 
@@ -16,7 +15,7 @@ def build(objects, trajectory, radio=None, **ray_tracing):
     """Scene of objects, a trajectory and a radio, all as in a scene file."""
     data = {"name": "test", "objects": objects, "trajectory": trajectory, "ray_tracing": ray_tracing}
     data["radio"] = radio or {}
-    return Scene.from_settings(parse(SceneSettings, data, "test"))
+    return Scene(parse(SceneSettings, data, "test"))
 
 
 def at(*positions_m):

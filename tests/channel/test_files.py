@@ -22,7 +22,9 @@ from mvla_sim.channel.header import HEADER
 from mvla_sim.channel.loading import load_channel
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.errors import DataError, OutputError
-from mvla_sim.scene.antenna_settings import Horn, Omni, PatternCuts
+from mvla_sim.scene.antennas.cuts import PatternCuts
+from mvla_sim.scene.antennas.horn import Horn
+from mvla_sim.scene.antennas.omni import Omni
 
 HORN = Horn(kind="horn", azimuth_beamwidth_deg=20.0, elevation_beamwidth_deg=9.5, shape="cosine", gain_dbi=21.5)
 ANTENNAS = (

@@ -74,7 +74,7 @@ def test_second_run_traces_nothing(monkeypatch):
 def test_equal_scene_of_another_name_is_found_and_keeps_its_own_name():
     first = scene()
     simulate(first)
-    renamed = Scene.from_settings(first.settings.model_copy(update={"name": "renamed"}))
+    renamed = Scene(first.settings.model_copy(update={"name": "renamed"}))
     assert simulate(renamed).config["name"] == "renamed"
     assert Tracer.traced == 12
 

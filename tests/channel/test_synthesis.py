@@ -16,8 +16,7 @@ from mvla_sim.channel.references import calibrate, echo_gain, find_peak, subtrac
 from mvla_sim.channel.synthesis import EchoSettings, SynthesisSettings, synthesize, write_sweeps
 from mvla_sim.constants import delay_to_range, range_to_delay
 from mvla_sim.errors import ConfigError, DataError, OutputError
-from mvla_sim.scene.antenna import build_antenna
-from mvla_sim.scene.antenna_settings import Horn
+from mvla_sim.scene.antennas.horn import Horn
 
 CLEAN = 300.0
 """dB; noise of 1e-15 of the target."""
@@ -91,11 +90,11 @@ def test_parts_come_in_the_order_of_the_hardware():
 
 
 def test_reference_is_seen_through_the_same_antennas():
-    horn = Horn(kind="horn")
+    horn = Horn()
     cir = replace(point_cir(), antenna=horn)
     bare, seen = (synthesize(c, chosen(reference_range_m=5.0)) for c in (point_cir(), cir))
     ratio = (seen.reference - seen.background) / (bare.reference - bare.background)
-    np.testing.assert_allclose(20 * np.log10(abs(ratio)), 2 * build_antenna(horn).gain_dbi, atol=1e-6)
+    np.testing.assert_allclose(20 * np.log10(abs(ratio)), 2 * horn.pattern().gain_dbi, atol=1e-6)
 
 
 @pytest.mark.parametrize("snr_db", [-10.0, 0.0, 20.0])

@@ -51,7 +51,7 @@ def test_samples_come_back_as_they_were_made(built):
     apart = set()
     for k, sample in enumerate(dataset):
         settings = draw_sample(campaign, k)
-        made = fake_simulate(Scene.from_settings(settings))
+        made = fake_simulate(Scene(settings))
         assert equal(sample.cir, made)
         assert sample.metadata["settings"] == settings.model_dump(mode="json")
         assert (sample.metadata["sample"], sample.metadata["split"]) == (k, split_of(campaign, k))

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -318,14 +317,14 @@ def test_the_card_tells_what_made_the_shards_what_is_missing_and_twins(tmp_path,
 def test_the_occupancy_is_that_of_the_outline_in_the_file(tmp_path, monkeypatch):
     """Also where rounding the outline to a nanometre decides which voxels it touches."""
     campaign = tiny(tmp_path, "samples=2", "samples_per_shard=2", "split.test=0.5", "split.validation=0.0")
-    original = Scene.from_settings
 
-    def shifted(settings, source="scene"):
-        scene = original(settings, source)
+    def shifted(settings, *, source="scene"):
+        scene = Scene(settings, source=source)
         square = shapely.box(-0.5, -0.5, 0.5 + 4e-10, 0.5)  # touches the voxels at +x only as far as it is not rounded
-        return replace(scene, outline=square)
+        object.__setattr__(scene, "outline", square)
+        return scene
 
-    monkeypatch.setattr("mvla_sim.dataset.shard.Scene.from_settings", shifted)
+    monkeypatch.setattr("mvla_sim.dataset.shard.Scene", shifted)
     monkeypatch.setattr("mvla_sim.evaluation.ground_truth.TOUCH", -1e-9)
     result = build_dataset(campaign, tmp_path / "out")
     assert verify(tmp_path / "out", recompute=0).ok

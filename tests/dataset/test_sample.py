@@ -14,7 +14,7 @@ import shapely
 from campaigns import EVERY_FAMILY, of_family, tiny, write
 
 from mvla_sim.dataset.campaign import SPLITS, CampaignSettings, load_campaign
-from mvla_sim.dataset.outlines import random_polygon, smooth_outline
+from mvla_sim.dataset.families import random_polygon, smooth_outline
 from mvla_sim.dataset.sample import check_room, draw_sample, family_of, split_of, splits_of
 from mvla_sim.dataset.shard import occupancy_of
 from mvla_sim.errors import ConfigError
@@ -55,7 +55,7 @@ def test_objects_keep_their_distances_and_their_bounds(shape):
     counts = set()
     for k in range(12):
         settings = draw_sample(campaign, k)
-        scene = Scene.from_settings(settings)  # refuses sensors inside objects, and outlines that cross themselves
+        scene = Scene(settings)  # refuses sensors inside objects, and outlines that cross themselves
         counts.add(len(settings.objects))
         areas = shapely.get_parts(scene.outline)
         assert len(areas) == len(settings.objects)
@@ -74,7 +74,7 @@ def test_sizes_are_those_asked_for(shape):
     family = {"name": "f", "shape": shape, "size_m": 2.0, **EVERY_FAMILY[shape]}
     campaign = parse(CampaignSettings, {"name": "c", "samples": 5, "families": [family]}, "test")
     for k in range(5):
-        scene = Scene.from_settings(draw_sample(campaign, k))
+        scene = Scene(draw_sample(campaign, k))
         if shape in ("circle", "square", "triangle"):
             assert scene.extent_m == pytest.approx(2.0, abs=1e-5)  # the altitude of a triangle is rounded
         elif shape == "rectangle":
@@ -130,7 +130,7 @@ def test_trajectories(tmp_path, kind):
                     "trajectory.height_m={min=0,max=0.5}", "grid.center_m=[1, 2, 0.5]", *more)  # fmt: skip
     apart = set()
     for k in range(10):
-        views = Scene.from_settings(draw_sample(campaign, k)).views
+        views = Scene(draw_sample(campaign, k)).views
         assert views.center_m == (1.0, 2.0)
         distance = np.hypot(*(views.midpoints_m[:, :2] - [1.0, 2.0]).T)
         assert 5.0 - 1e-9 <= distance.min() == pytest.approx(distance.max())
@@ -188,7 +188,7 @@ def test_a_family_that_never_finds_room_is_told_at_once(tmp_path, settings, mess
 def test_shapes_that_cannot_be_drawn_name_their_family(tmp_path):
     family = {"name": "blunt", "shape": "star", "size_m": 1, "inner_ratio": 1 - 1e-9}
     campaign = parse(CampaignSettings, {"name": "c", "samples": 1, "families": [family]}, "test")
-    with pytest.raises(ConfigError, match=r"^c: family 'blunt': object.*inner_radius_m = 0\.5 must be below"):
+    with pytest.raises(ConfigError, match=r"^c: family 'blunt': Star: inner_radius_m = 0\.5 must be below"):
         check_room(campaign)
 
 
@@ -200,7 +200,7 @@ def test_the_occupancy_is_that_of_concave_outlines_and_of_several_objects(shape)
     nx, ny, _ = grid.counts
     xs, ys, _ = grid.axes()
     for k in range(4):
-        scene = Scene.from_settings(draw_sample(campaign, k))
+        scene = Scene(draw_sample(campaign, k))
         found = occupancy_of(scene.outline, grid)
         assert found.shape == (ny, nx)
         for iy, ix in np.ndindex(ny, nx):

@@ -61,7 +61,7 @@ def test_a_traced_dataset_passes_and_is_that_of_the_scenes(built):
     assert report.recomputed == (0, 1)
     dataset = open_dataset(built / "out")
     for k, sample in enumerate(dataset):
-        traced = simulate(Scene.from_settings(draw_sample(dataset.campaign, k)))
+        traced = simulate(Scene(draw_sample(dataset.campaign, k)))
         assert unmatched_share(sample.cir, traced) == 0
         assert (sample.cir.row_size > 0).all()
 
@@ -172,4 +172,4 @@ def test_the_ready_campaigns_are_valid(name, samples):
     shapes = {family.shape for family in campaign.families}
     assert shapes == {"circle", "square", "rectangle", "triangle", "star", "polygon", "smooth"}
     for k in range(0, samples, samples // 50):
-        Scene.from_settings(draw_sample(campaign, k))
+        Scene(draw_sample(campaign, k))

@@ -20,8 +20,9 @@ from mvla_sim.imaging.mvla import likelihood_profiles
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.imaging.projection import project
-from mvla_sim.scene.antenna import build_antenna
-from mvla_sim.scene.antenna_settings import Horn, Omni, PatternFile
+from mvla_sim.scene.antennas.horn import Horn
+from mvla_sim.scene.antennas.omni import Omni
+from mvla_sim.scene.antennas.pattern_file import PatternFile
 from mvla_sim.scene.views import Views
 
 SIGMA, RADIUS = 0.025, 0.32  # the paper's κ = 0.5 and η = 0.04 at 3 GHz and D = 8 m
@@ -31,8 +32,8 @@ POINT = VoxelGrid((0.0, 0.0, 0.0), (1, 1, 1), 0.1)
 EDGE_DB = 1e-3
 """A voxel this near to a beam's edge may fall on either side: angles are good to some 1e-4° in float32, and the
 steepest pattern here falls by 3 dB a degree."""
-GAUSSIAN = Horn(kind="horn", azimuth_beamwidth_deg=30.0, elevation_beamwidth_deg=20.0)
-COSINE = Horn(kind="horn", shape="cosine", azimuth_beamwidth_deg=25.0)
+GAUSSIAN = Horn(azimuth_beamwidth_deg=30.0, elevation_beamwidth_deg=20.0)
+COSINE = Horn(shape="cosine", azimuth_beamwidth_deg=25.0)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def lopsided(tmp_path_factory):
     file.write_text(
         "angle_deg,azimuth_db,elevation_db\n-60,-30,-25\n-20,-4,-12\n0,0,0\n5,-1,-2\n15,-9,-3.4\n60,-30,-28\n"
     )
-    return PatternFile(kind="file", file=str(file))
+    return PatternFile(file=str(file))
 
 
 def moved(views, seed, lift_m=2.0, apart_m=0.0, turn_deg=None):
@@ -94,7 +95,7 @@ def seen(grid, views, antenna, edge_db=-3.0):
     points = grid.centers()
     if isinstance(antenna, Omni):
         return np.ones((len(views), len(points)), bool), np.ones(len(points), bool)
-    level = twin.levels_db(points, views, build_antenna(antenna), aimed(views))
+    level = twin.levels_db(points, views, antenna.pattern(), aimed(views))
     return level >= edge_db, (np.abs(level - edge_db) > EDGE_DB).all(axis=0)
 
 
@@ -309,7 +310,7 @@ def test_no_edge_and_no_pattern_are_no_beam():
 @pytest.mark.parametrize("method", PAPER_METHODS)
 def test_switched_off_edge_images_as_omnidirectional_antennas_do(method):
     cir = scatterers([[1.0, 0.5, 0.0], [-0.8, -0.4, 0.0]], ring(24))
-    narrow = replace(cir, antenna=Horn(kind="horn", azimuth_beamwidth_deg=5.0))
+    narrow = replace(cir, antenna=Horn(azimuth_beamwidth_deg=5.0))
     chosen = {"method": method, "grid.size_m": [4.0, 4.0, 0.0]}
     plain = reconstruct(cir, imaging_settings(**chosen))
     without = reconstruct(narrow, imaging_settings(**chosen, **{"beam.edge_db": None}))
@@ -328,7 +329,7 @@ def test_beam_that_covers_everything_changes_no_sum(kind):
     rng = np.random.default_rng(8)
     peaks = random_peaks(rng, [10] * len(views), 4.0, 15.0)
     plain = soft(BLOCK, views, peaks)
-    narrow = Horn(kind="horn", azimuth_beamwidth_deg=8.0, elevation_beamwidth_deg=6.0)
+    narrow = Horn(azimuth_beamwidth_deg=8.0, elevation_beamwidth_deg=6.0)
     for edge_db in (narrow.floor_db, -60.0):
         wide = soft(BLOCK, views, peaks, build_beam(narrow, BeamSettings(edge_db=edge_db)))
         assert (wide.coverage == len(views)).all()
@@ -433,7 +434,7 @@ def test_points_stand_out_at_their_places_for_pairs_far_apart(method):
     turn = np.deg2rad(middle.angles_deg)
     aside = 2.0 * np.stack([-np.sin(turn), np.cos(turn), 0 * turn], axis=1)
     views = replace(middle, positions_m=middle.positions_m + aside, receivers_m=middle.positions_m - aside)
-    wide = Horn(kind="horn", azimuth_beamwidth_deg=60.0)
+    wide = Horn(azimuth_beamwidth_deg=60.0)
     chosen = imaging_settings(**{"method": method, "grid.size_m": [4.0, 4.0, 0.0], "snr_db": 20})
 
     cir = scatterers(points, views, antenna=wide)
@@ -450,7 +451,7 @@ def test_points_stand_out_at_their_places_for_pairs_far_apart(method):
 
 def test_nothing_is_projected_beside_a_beam():
     """One view from +x with a beam of 6°: all of its ring within ±3° of the boresight, and nothing else."""
-    cir = channel([[(9.0, 1.0)]], views_at([0.0]), antenna=Horn(kind="horn", azimuth_beamwidth_deg=6.0))
+    cir = channel([[(9.0, 1.0)]], views_at([0.0]), antenna=Horn(azimuth_beamwidth_deg=6.0))
     image = reconstruct(cir, imaging_settings(**{"method": "bp", "grid.size_m": [4.0, 4.0, 0.0], "snr_db": None}))
     x, y, _ = image.grid.centers().T
     off = np.abs(np.degrees(np.arctan2(y, 10 - x)))

@@ -18,7 +18,7 @@ from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
 from mvla_sim.imaging.pdp import compute_pdp, gate_for
 from mvla_sim.imaging.pipeline import front_end, reconstruct
 from mvla_sim.netcdf import write_netcdf
-from mvla_sim.scene.antenna_settings import Horn
+from mvla_sim.scene.antennas.horn import Horn
 from mvla_sim.settings import parse
 
 RADIO = {"carrier_hz": 36e9, "bandwidth_hz": BANDWIDTH}
@@ -108,7 +108,7 @@ def test_grid_beyond_the_unambiguous_range_is_refused():
 @pytest.mark.parametrize("method", ["mvla-gr", "mvla-hard"])
 def test_components_enter_where_peaks_leave_the_detector(method):
     """The components found in a CIR make its image, to the bit."""
-    cir = scatterers(POINTS, ring(24), antenna=Horn(kind="horn", azimuth_beamwidth_deg=20.0))
+    cir = scatterers(POINTS, ring(24), antenna=Horn(azimuth_beamwidth_deg=20.0))
     chosen = options(method=method, snr_db=20, interval_deg=30, offset=1)
     direct, again = reconstruct(cir, chosen), reconstruct(extracted(cir, chosen), chosen)
     np.testing.assert_array_equal(direct.score, again.score)
@@ -168,7 +168,7 @@ def three():
         receivers_m=views.positions_m - aside,
         boresights=-views.positions_m / 10,
     )
-    horn = Horn(kind="horn", azimuth_beamwidth_deg=30.0, gain_dbi=12.0)
+    horn = Horn(azimuth_beamwidth_deg=30.0, gain_dbi=12.0)
     cir = scatterers(POINTS, views, antenna=horn)
     return {Cir: cir, FrequencyResponse: swept(cir), Components: extracted(cir, options())}
 

@@ -19,7 +19,7 @@ from mvla_sim.imaging.methods.registry import find_method
 from mvla_sim.imaging.methods.rpm import contour_points
 from mvla_sim.imaging.observation import FrontEnd, Observation
 from mvla_sim.imaging.pipeline import reconstruct
-from mvla_sim.scene.antenna_settings import Horn
+from mvla_sim.scene.antennas.horn import Horn
 from mvla_sim.scene.views import Views
 from mvla_sim.sweep.schedule import tasks_of
 
@@ -108,7 +108,7 @@ def test_views_without_a_peak_carve_nothing():
 
 def test_a_beam_carves_only_where_it_reaches():
     views = views_at([0.0])
-    beam = build_beam(Horn(kind="horn", azimuth_beamwidth_deg=10.0, elevation_beamwidth_deg=10.0), BeamSettings())
+    beam = build_beam(Horn(azimuth_beamwidth_deg=10.0, elevation_beamwidth_deg=10.0), BeamSettings())
     seen = observed([[(9.0, 1.0)]], views, beam)
     score = find_method("carving").image(seen).score[0]
     x, y = np.meshgrid(*seen.grid.axes()[:2])
@@ -204,7 +204,7 @@ def test_rpm_sees_its_layer_from_above():
 
 def test_rpm_leaves_out_what_no_beam_sees():
     views = ring(72)
-    beam = build_beam(Horn(kind="horn", azimuth_beamwidth_deg=8.0, elevation_beamwidth_deg=8.0), BeamSettings())
+    beam = build_beam(Horn(azimuth_beamwidth_deg=8.0, elevation_beamwidth_deg=8.0), BeamSettings())
     echoes = echoes_of([[0.2, 0.1, 0.0], [1.6, 1.4, 0.0]], views)
     both = contour_points(observed(echoes, views)).position_m
     inner = contour_points(observed(echoes, views, beam)).position_m
@@ -275,7 +275,7 @@ def test_coherent_sum_is_the_formula():
 
 def test_coherent_beams_leave_out_what_is_outside():
     views = views_at([0.0])
-    antenna = Horn(kind="horn", azimuth_beamwidth_deg=10.0, elevation_beamwidth_deg=10.0)
+    antenna = Horn(azimuth_beamwidth_deg=10.0, elevation_beamwidth_deg=10.0)
     image = reconstruct(
         scatterers([[0.0, 0.0, 0.0]], views, antenna=antenna), options(method="bp-coherent", snr_db=None)
     )

@@ -23,16 +23,14 @@ from mvla_sim.imaging.pdp import Pdp, compute_pdp
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.imaging.projection import RangeProfiles, project
 from mvla_sim.imaging.tomography import LinearModel, background, noise_level, pulse_power
-from mvla_sim.scene.antenna_settings import Horn
+from mvla_sim.scene.antennas.horn import Horn
 from mvla_sim.scene.views import Views
 
 LAYER = VoxelGrid((0.1, -0.2, 0.0), (42, 39, 1), 0.22)
 BLOCK = VoxelGrid((0.3, -0.2, 0.1), (9, 8, 7), 0.7)
 SMALL = VoxelGrid((0.0, 0.0, 0.0), (12, 11, 1), 0.1)
 POINT = VoxelGrid((0.0, 0.0, 0.0), (1, 1, 1), 0.1)
-HORN = build_beam(
-    Horn(kind="horn", azimuth_beamwidth_deg=35.0, elevation_beamwidth_deg=30.0), BeamSettings(edge_db=-3.0)
-)
+HORN = build_beam(Horn(azimuth_beamwidth_deg=35.0, elevation_beamwidth_deg=30.0), BeamSettings(edge_db=-3.0))
 EDGE_DB = 1e-3  # a voxel this near to a beam's edge may fall on either side in float32
 
 

@@ -9,11 +9,13 @@ from hypothesis import strategies as st
 
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene.antenna import build_antenna, local_angles
-from mvla_sim.scene.antenna_settings import Horn, Omni, PatternFile
-from mvla_sim.scene.scene_settings import RadioSettings, SceneSettings
+from mvla_sim.scene.antenna import local_angles
+from mvla_sim.scene.antennas.horn import Horn
+from mvla_sim.scene.antennas.omni import Omni
+from mvla_sim.scene.antennas.pattern_file import PatternFile
+from mvla_sim.scene.radio import RadioSettings
 from mvla_sim.scene.views import Views
-from mvla_sim.scene.world import Scene
+from mvla_sim.scene.world import Scene, SceneSettings
 from mvla_sim.settings import parse
 
 HALF_DB = -10 * np.log10(2)
@@ -21,7 +23,7 @@ shapes = st.sampled_from(["gaussian", "cosine"])
 
 
 def horn(**values):
-    return build_antenna(Horn(kind="horn", **values))
+    return Horn(**values).pattern()
 
 
 def level(antenna, azimuth, elevation=0.0):
@@ -31,11 +33,11 @@ def level(antenna, azimuth, elevation=0.0):
 def from_file(tmp_path, text, **values):
     file = tmp_path / "pattern.csv"
     file.write_bytes(text.encode() if isinstance(text, str) else text)
-    return build_antenna(PatternFile(kind="file", file=str(file), **values))
+    return PatternFile(file=str(file), **values).pattern()
 
 
 def test_omnidirectional_antennas_have_no_pattern():
-    assert build_antenna(Omni()) is None
+    assert Omni().pattern() is None
 
 
 @settings(max_examples=60)
@@ -223,7 +225,7 @@ def test_bad_pattern_files_are_refused_in_one_line_with_their_name(tmp_path, con
     if content is not None:
         file.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(DataError, match=says) as caught:
-        build_antenna(PatternFile(kind="file", file=str(file)))
+        PatternFile(file=str(file)).pattern()
     assert str(caught.value).startswith(str(file))
     assert "\n" not in str(caught.value)
 
@@ -251,7 +253,7 @@ def scene_with(file):
         "objects": [{"shape": "square", "side_m": 2.0}],
         "radio": {"antenna": {"kind": "file", "file": str(file)}},
     }
-    return Scene.from_settings(parse(SceneSettings, data, "test"))
+    return Scene(parse(SceneSettings, data, "test"))
 
 
 def test_fingerprint_follows_a_patterns_content_and_not_its_place(tmp_path):
@@ -270,13 +272,13 @@ def test_a_channel_file_does_without_its_pattern_file(tmp_path):
     """The cuts travel with the data: the sector is the same when the CSV file is gone, to the 0.001 dB they keep."""
     csv = tmp_path / "pattern.csv"
     csv.write_text("angle_deg,azimuth_db\n-90,-30\n-7.2,-3\n0,0\n8,-3.5\n90,-30\n")
-    antenna = PatternFile(kind="file", file=str(csv))
-    before = build_antenna(antenna)
+    antenna = PatternFile(file=str(csv))
+    before = antenna.pattern()
     angle = np.deg2rad([0.0, 90.0, 180.0])
     views = Views(np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), np.rad2deg(angle), (0.0, 0.0))
     FrequencyResponse(np.ones((3, 4), complex), 36e9, 1e6, views=views, antenna=antenna).save(tmp_path / "r.nc")
     csv.unlink()
-    after = build_antenna(FrequencyResponse.load(tmp_path / "r.nc").antenna)
+    after = (FrequencyResponse.load(tmp_path / "r.nc").antenna).pattern()
     np.testing.assert_allclose(after.azimuth_db, before.azimuth_db, atol=6e-4)
     np.testing.assert_allclose(after.elevation_db, before.elevation_db, atol=6e-4)
     assert after.gain_dbi == before.gain_dbi

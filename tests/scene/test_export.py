@@ -14,8 +14,7 @@ import trimesh
 
 from mvla_sim.errors import ConfigError, OutputError
 from mvla_sim.scene.mitsuba_xml import export_mitsuba
-from mvla_sim.scene.scene_settings import SceneSettings
-from mvla_sim.scene.world import Scene
+from mvla_sim.scene.world import Scene, SceneSettings
 
 # In a process of its own: the engine keeps global state and needs its compiler named before it is imported.
 READER = """
@@ -51,7 +50,7 @@ DIRECTIVE = {"scattering_pattern": {"kind": "directive"}}
 
 
 def build(*objects):
-    return Scene.from_settings(SceneSettings.model_validate({"name": "test", "objects": list(objects)}))
+    return Scene(SceneSettings.model_validate({"name": "test", "objects": list(objects)}))
 
 
 def test_sionna_opens_what_was_written(tmp_path):

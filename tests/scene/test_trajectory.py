@@ -10,18 +10,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene.antenna_settings import PointingSettings
-from mvla_sim.scene.scene_settings import SceneSettings
-from mvla_sim.scene.trajectory import build_views
-from mvla_sim.scene.trajectory_settings import (
-    ArcTrajectory,
-    CircleTrajectory,
-    LineTrajectory,
-    PosesTrajectory,
-    PositionsTrajectory,
-    TurntableTrajectory,
-)
+from mvla_sim.scene.pointing import PointingSettings
+from mvla_sim.scene.trajectories.arc import Arc
+from mvla_sim.scene.trajectories.circle import Circle
+from mvla_sim.scene.trajectories.line import Line
+from mvla_sim.scene.trajectories.poses import Poses
+from mvla_sim.scene.trajectories.positions import Positions
+from mvla_sim.scene.trajectories.turntable import Turntable
 from mvla_sim.scene.views import Views
+from mvla_sim.scene.world import SceneSettings
 from mvla_sim.settings import parse
 
 ORIGIN = (0.0, 0.0)
@@ -43,8 +40,8 @@ def apart(one, other):
 @given(st.floats(0.5, 50), intervals, st.floats(-1000, 1000), st.tuples(coordinates, coordinates), coordinates)
 @settings(deadline=None, max_examples=50)
 def test_circle(radius, interval, start, center, height):
-    kind = CircleTrajectory(radius_m=radius, interval_deg=interval, start_deg=start, center_m=center, height_m=height)
-    views = build_views(kind, (99.0, 99.0))
+    kind = Circle(radius_m=radius, interval_deg=interval, start_deg=start, center_m=center, height_m=height)
+    views = kind.build_views((99.0, 99.0))
     assert len(views) == round(360 / interval)
     offset = views.positions_m - [*center, height]
     np.testing.assert_allclose(np.hypot(offset[:, 0], offset[:, 1]), radius, atol=ROUNDING * 10)
@@ -57,11 +54,11 @@ def test_circle(radius, interval, start, center, height):
 
 
 def test_angles_of_a_dense_circle_are_exactly_whole_degrees():
-    np.testing.assert_array_equal(build_views(CircleTrajectory(), ORIGIN).angles_deg, np.arange(360.0))
+    np.testing.assert_array_equal(Circle().build_views(ORIGIN).angles_deg, np.arange(360.0))
 
 
 def test_an_angle_just_below_zero_is_zero_and_never_360():
-    views = build_views(CircleTrajectory(start_deg=-1e-17), ORIGIN)
+    views = Circle(start_deg=-1e-17).build_views(ORIGIN)
     assert views.angles_deg[0] == 0
 
 
@@ -70,7 +67,7 @@ def test_an_angle_just_below_zero_is_zero_and_never_360():
     [(0, 90, 1, 90), (-30, 30, 0.1, 30), (350, 380, 7, 378), (0, 10, 10, 10), (0, 0.3, 0.1, 0.3)],
 )
 def test_arc_includes_its_end_where_the_interval_reaches_it(start, stop, interval, last):
-    views = build_views(ArcTrajectory(kind="arc", start_deg=start, stop_deg=stop, interval_deg=interval), ORIGIN)
+    views = Arc(start_deg=start, stop_deg=stop, interval_deg=interval).build_views(ORIGIN)
     assert len(views) == round((last - start) / interval) + 1
     assert apart(views.angles_deg[-1], last) < 1e-9
     assert apart(directions(views), views.angles_deg).max() < 1e-9
@@ -81,8 +78,8 @@ def test_arc_includes_its_end_where_the_interval_reaches_it(start, stop, interva
 @settings(deadline=None, max_examples=50)
 def test_whether_views_close_does_not_depend_on_where_zero_is(start, count, span):
     interval = span / (count - 1)
-    arc = ArcTrajectory(kind="arc", start_deg=start, stop_deg=start + span * (1 + 1e-9), interval_deg=interval)
-    views = build_views(arc, ORIGIN)
+    arc = Arc(start_deg=start, stop_deg=start + span * (1 + 1e-9), interval_deg=interval)
+    views = arc.build_views(ORIGIN)
     expected = 360 - span <= 1.5 * interval and 360 - span < 180
     if abs((360 - span) - 1.5 * interval) > 1e-6:
         assert views.closed == expected
@@ -108,7 +105,7 @@ def test_line(start, stop):
     center = (30.0, 30.0)  # beside every such line
     if start == stop:
         return
-    views = build_views(LineTrajectory(kind="line", start_m=start, stop_m=stop, views=5), center)
+    views = Line(start_m=start, stop_m=stop, views=5).build_views(center)
     np.testing.assert_allclose(views.positions_m[[0, -1]], [start, stop], atol=ROUNDING)
     np.testing.assert_allclose(np.diff(views.positions_m, 2, axis=0), 0, atol=10 * ROUNDING)  # evenly spaced
     assert apart(directions(views), views.angles_deg).max() < 1e-9
@@ -116,9 +113,9 @@ def test_line(start, stop):
 
 
 def test_line_over_the_centre_has_a_view_without_direction():
-    line = LineTrajectory(kind="line", start_m=(-5, 1, 3), stop_m=(5, 1, 3), views=11)
+    line = Line(start_m=(-5, 1, 3), stop_m=(5, 1, 3), views=11)
     with pytest.raises(ConfigError, match=r"trajectory: position 5 = \[0.0, 1.0, 3.0\] .*no horizontal distance"):
-        build_views(line, (0.0, 1.0))
+        line.build_views((0.0, 1.0))
 
 
 @given(
@@ -132,9 +129,7 @@ def test_turntable_equals_turning_the_target(sensor, axis, interval, point):
     """Distances from the fixed sensor to a point that turns are those from the views to the point at rest."""
     if sensor[:2] == axis:
         return
-    views = build_views(
-        TurntableTrajectory(kind="turntable", sensor_m=sensor, interval_deg=interval, axis_m=axis), ORIGIN
-    )
+    views = Turntable(sensor_m=sensor, interval_deg=interval, axis_m=axis).build_views(ORIGIN)
     alpha = np.deg2rad(interval * np.arange(len(views)))
     x, y = point[0] - axis[0], point[1] - axis[1]
     turned = np.stack(
@@ -152,14 +147,14 @@ def test_turntable_equals_turning_the_target(sensor, axis, interval, point):
 
 
 def test_turntable_views_run_clockwise_from_the_sensor():
-    views = build_views(TurntableTrajectory(kind="turntable", interval_deg=90.0), ORIGIN)
+    views = Turntable(interval_deg=90.0).build_views(ORIGIN)
     np.testing.assert_allclose(views.angles_deg, [0, 270, 180, 90])
     np.testing.assert_allclose(views.positions_m[1], [0, -10, 0], atol=ROUNDING)
 
 
 def test_turntable_sensor_on_the_axis_is_refused():
     with pytest.raises(ConfigError, match=r"trajectory\.sensor_m = \[1.0, 2.0, 3.0\]"):
-        build_views(TurntableTrajectory(kind="turntable", sensor_m=(1, 2, 3), axis_m=(1, 2)), ORIGIN)
+        Turntable(sensor_m=(1, 2, 3), axis_m=(1, 2)).build_views(ORIGIN)
 
 
 # The sensor stands still and the target moves: the same geometry, seen from the target's frame.
@@ -174,8 +169,8 @@ def turned(points, angle_deg, about=(0.0, 0.0)):
 
 def turntable(sensor=(10.0, 0.0, 0.0), axis=(0.0, 0.0), pointing=None, **values):
     pointing = PointingSettings(**(pointing or {}))
-    kind = TurntableTrajectory(kind="turntable", sensor_m=sensor, axis_m=axis, pointing=pointing, **values)
-    return build_views(kind, (99.0, 99.0))
+    kind = Turntable(sensor_m=sensor, axis_m=axis, pointing=pointing, **values)
+    return kind.build_views((99.0, 99.0))
 
 
 def elevation(pointing, sensor):
@@ -230,11 +225,11 @@ def test_turntable_seen_in_the_world_is_one_pair_that_stands_still(sensor, axis,
 def test_turntable_is_the_circle_taken_clockwise(separation, elevation):
     axis, height = (1.0, 2.0), 0.7
     pointing = PointingSettings(elevation_deg=elevation)
-    circle = CircleTrajectory(
+    circle = Circle(
         radius_m=5.0, center_m=axis, height_m=height, start_deg=90.0, interval_deg=20.0, pointing=pointing,
         pair_separation_m=separation,
     )  # fmt: skip
-    one = build_views(circle, ORIGIN).select(-np.arange(18))
+    one = circle.build_views(ORIGIN).select(-np.arange(18))
     sensor = (1.0, 7.0, height)
     other = turntable(sensor, axis, {"elevation_deg": elevation}, interval_deg=20.0, pair_separation_m=separation)
     np.testing.assert_allclose(one.positions_m, other.positions_m, atol=ROUNDING * 10)
@@ -256,8 +251,8 @@ poses = st.lists(st.tuples(coordinates, coordinates, headings), min_size=1, max_
 
 def driven(poses, sensor=(0.0, 0.0, 0.0), pointing=None, center=ORIGIN, **values):
     pointing = PointingSettings(**(pointing or {}))
-    kind = PosesTrajectory(kind="poses", sensor_m=sensor, poses=poses, pointing=pointing, **values)
-    return build_views(kind, center)
+    kind = Poses(sensor_m=sensor, poses=poses, pointing=pointing, **values)
+    return kind.build_views(center)
 
 
 @settings(max_examples=60)
@@ -293,11 +288,11 @@ def test_target_that_drives_past_is_a_sensor_that_flies_past(separation):
     places = [(x, 6.0, 0.0) for x in np.linspace(-4, 4, 9)]
     center = (0.2, 0.1)
     one = driven(places, (0.0, 0.0, 2.0), aside, center, pair_separation_m=separation)
-    line = LineTrajectory(
+    line = Line(
         kind="line", start_m=(4, -6, 2), stop_m=(-4, -6, 2), views=9, pair_separation_m=separation,
         pointing=PointingSettings(**aside),
     )  # fmt: skip
-    other = build_views(line, center)
+    other = line.build_views(center)
     assert one.center_m == other.center_m == center
     for name in ("positions_m", "angles_deg", "boresights", "midpoints_m"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-11)
@@ -320,7 +315,7 @@ def test_pose_on_the_sensor_has_no_direction():
 def test_poses_file(tmp_path):
     file = tmp_path / "drive.csv"
     file.write_text("heading_deg,x_m,y_m\n10,-4,5\n15.5,0,5.5\n20,4,6\n")
-    read = build_views(PosesTrajectory(kind="poses", sensor_m=(0, 0, 1), file=str(file)), ORIGIN)
+    read = Poses(sensor_m=(0, 0, 1), file=str(file)).build_views(ORIGIN)
     listed = driven([(-4.0, 5.0, 10.0), (0.0, 5.5, 15.5), (4.0, 6.0, 20.0)], (0, 0, 1))
     np.testing.assert_array_equal(read.positions_m, listed.positions_m)
     np.testing.assert_array_equal(read.directions, listed.directions)
@@ -342,7 +337,7 @@ def test_poses_file_errors_name_file_line_and_column(tmp_path, content, says):
     if content is not None:
         file.write_text(content)
     with pytest.raises((DataError, ConfigError), match=says) as caught:
-        build_views(PosesTrajectory(kind="poses", file=str(file)), ORIGIN)
+        Poses(file=str(file)).build_views(ORIGIN)
     assert str(file) in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -358,7 +353,7 @@ def test_each_height_is_a_whole_turn(kind):
     def build(**values):
         if kind == "circle":
             pointing = PointingSettings(aim_m=(0.1, 0.2, 0.3))
-            return build_views(CircleTrajectory(start_deg=10.0, pointing=pointing, **equip, **values), ORIGIN)
+            return Circle(start_deg=10.0, pointing=pointing, **equip, **values).build_views(ORIGIN)
         low = values.pop("height_m", 0.0)
         return turntable((9.0, 2.0, low), (0.5, 0.0), {"aim_m": (0.1, 0.2, 0.3)}, **equip, **values)
 
@@ -374,7 +369,7 @@ def test_each_height_is_a_whole_turn(kind):
 
 
 def test_a_height_twice_and_none_at_all_are_refused():
-    for kind in (CircleTrajectory, lambda **v: TurntableTrajectory(kind="turntable", **v)):
+    for kind in (Circle, Turntable):
         with pytest.raises(ValueError, match="has a height twice"):
             kind(heights_m=(1.0, 0.0, 1.0))
         with pytest.raises(ValueError, match="at least 1"):
@@ -386,7 +381,7 @@ def test_a_height_twice_and_none_at_all_are_refused():
 
 def from_file(path, pointing=None, **values):
     pointing = PointingSettings(**(pointing or {}))
-    return build_views(PositionsTrajectory(kind="positions", file=str(path), pointing=pointing, **values), ORIGIN)
+    return Positions(file=str(path), pointing=pointing, **values).build_views(ORIGIN)
 
 
 def test_file_may_set_receivers_and_directions_view_by_view(tmp_path):
@@ -474,9 +469,7 @@ def test_positions_file(tmp_path, text, expected):
     file.write_bytes(text.encode())
     views = from_file(file)
     np.testing.assert_array_equal(views.positions_m, expected)
-    listed = build_views(
-        PositionsTrajectory(kind="positions", positions_m=tuple(tuple(map(float, p)) for p in expected)), ORIGIN
-    )
+    listed = Positions(positions_m=tuple(tuple(map(float, p)) for p in expected)).build_views(ORIGIN)
     np.testing.assert_array_equal(listed.angles_deg, views.angles_deg)
     assert apart(directions(views), views.angles_deg).max() < 1e-9
 
@@ -542,7 +535,7 @@ def test_views_are_read_only_and_keep_their_own_copy():
 @given(st.permutations(range(12)), st.integers(1, 12))
 @settings(deadline=None, max_examples=50)
 def test_selected_views_keep_order_and_angles(order, count):
-    views = build_views(CircleTrajectory(interval_deg=30.0), ORIGIN)
+    views = Circle(interval_deg=30.0).build_views(ORIGIN)
     chosen = views.select(np.array(order[:count]))
     np.testing.assert_array_equal(chosen.angles_deg, 30.0 * np.array(order[:count]))
     assert apart(directions(chosen), chosen.angles_deg).max() < 1e-9

@@ -8,12 +8,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene.antenna_settings import PointingSettings
-from mvla_sim.scene.scene_settings import SceneSettings
-from mvla_sim.scene.trajectory import build_views, side_by_side
-from mvla_sim.scene.trajectory_settings import ArcTrajectory, CircleTrajectory, LineTrajectory, PositionsTrajectory
+from mvla_sim.scene.pointing import PointingSettings, side_by_side
+from mvla_sim.scene.trajectories.arc import Arc
+from mvla_sim.scene.trajectories.circle import Circle
+from mvla_sim.scene.trajectories.line import Line
+from mvla_sim.scene.trajectories.positions import Positions
 from mvla_sim.scene.views import Views
-from mvla_sim.scene.world import Scene
+from mvla_sim.scene.world import Scene, SceneSettings
 from mvla_sim.settings import parse
 
 ORIGIN = (0.0, 0.0)
@@ -24,8 +25,8 @@ CIRCLE = {"radius_m": 5.0, "interval_deg": 30.0, "center_m": (1.0, -2.0), "heigh
 
 
 def circle(pointing=None, **values):
-    kind = CircleTrajectory(**(CIRCLE | values), pointing=PointingSettings(**(pointing or {})))
-    return build_views(kind, (99.0, 99.0))
+    kind = Circle(**(CIRCLE | values), pointing=PointingSettings(**(pointing or {})))
+    return kind.build_views((99.0, 99.0))
 
 
 def plain(count=3, **fields):
@@ -121,11 +122,11 @@ def test_pair_stands_on_both_sides_of_its_position(separation, radius, center, e
 
 
 def test_transmitter_is_on_the_left_of_a_beam_to_the_north():
-    kind = LineTrajectory(
+    kind = Line(
         kind="line", start_m=(-1, -3, 0), stop_m=(1, -3, 0), views=3, pair_separation_m=0.5,
         pointing=PointingSettings(azimuth_deg=90.0),
     )  # fmt: skip
-    views = build_views(kind, ORIGIN)
+    views = kind.build_views(ORIGIN)
     np.testing.assert_allclose(views.positions_m[:, 0], [-1.25, -0.25, 0.75], atol=ROUNDING)
     np.testing.assert_allclose(views.receivers_m[:, 0], [-0.75, 0.25, 1.25], atol=ROUNDING)
 
@@ -139,13 +140,13 @@ def test_separation_zero_is_a_colocated_pair():
 def test_every_kind_of_moving_sensor_takes_pairs_and_pointing():
     equip = {"pair_separation_m": 0.3, "pointing": PointingSettings(elevation_deg=-10.0)}
     kinds = [
-        CircleTrajectory(interval_deg=90.0, **equip),
-        ArcTrajectory(kind="arc", start_deg=0, stop_deg=30, interval_deg=10, **equip),
-        LineTrajectory(kind="line", start_m=(3, 0, 0), stop_m=(3, 4, 0), views=4, **equip),
-        PositionsTrajectory(kind="positions", positions_m=((3.0, 0.0, 0.0), (3.0, 1.0, 0.0)), **equip),
+        Circle(interval_deg=90.0, **equip),
+        Arc(start_deg=0, stop_deg=30, interval_deg=10, **equip),
+        Line(start_m=(3, 0, 0), stop_m=(3, 4, 0), views=4, **equip),
+        Positions(positions_m=((3.0, 0.0, 0.0), (3.0, 1.0, 0.0)), **equip),
     ]
     for kind in kinds:
-        views = build_views(kind, ORIGIN)
+        views = kind.build_views(ORIGIN)
         np.testing.assert_allclose(np.linalg.norm(views.positions_m - views.receivers_m, axis=1), 0.3, rtol=1e-9)
         np.testing.assert_allclose(views.boresights[:, 2], np.sin(np.deg2rad(-10)), rtol=1e-9)
         towards = -views.midpoints_m[:, :2]
@@ -200,7 +201,7 @@ def test_neither_antenna_of_a_pair_may_be_inside_an_object(which, tmp_path):
     }
     called = ("transmitter", "receiver")[which]
     with pytest.raises(ConfigError, match=rf"{called} of view 1 at \(0\.5, 0\.5, 0\) m is inside 'square-0'"):
-        Scene.from_settings(parse(SceneSettings, data, "test"))
+        Scene(parse(SceneSettings, data, "test"))
 
 
 def test_fingerprint_follows_receivers_and_boresights():
@@ -210,7 +211,7 @@ def test_fingerprint_follows_receivers_and_boresights():
             "objects": [{"shape": "square", "side_m": 2.0}],
             "trajectory": {"kind": "circle", "interval_deg": 30.0, **trajectory},
         }
-        return Scene.from_settings(parse(SceneSettings, data, "test")).fingerprint()
+        return Scene(parse(SceneSettings, data, "test")).fingerprint()
 
     kinds = [
         {},

@@ -14,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene.scene_settings import SceneSettings
-from mvla_sim.scene.world import Scene
+from mvla_sim.scene.world import Scene, SceneSettings
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
 SECTION = 1e-6  # share of the area: what a cross-section may lose by joining points within 1e-7 of the size
@@ -23,7 +22,7 @@ SECTION = 1e-6  # share of the area: what a cross-section may lose by joining po
 
 def scene(*objects, **other):
     data = {"name": "test", "objects": list(objects) or [{"shape": "star"}], **other}
-    return Scene.from_settings(SceneSettings.model_validate(data), "test.toml")
+    return Scene(SceneSettings.model_validate(data), source="test.toml")
 
 
 def load(name, *overrides):

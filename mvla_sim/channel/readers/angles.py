@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mvla_sim.channel.readers.import_settings import SweepSettings
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene.positions import read_columns
+from mvla_sim.scene.columns import read_columns
 
 __all__ = ["angles_of_files", "missing_angles"]
 

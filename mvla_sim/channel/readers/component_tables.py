@@ -29,7 +29,7 @@ from mvla_sim.constants import delay_to_range
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import existing_file
 from mvla_sim.memory import check_memory
-from mvla_sim.scene.positions import PLACE, RECEIVER, Columns, read_columns
+from mvla_sim.scene.columns import PLACE, RECEIVER, Columns, read_columns
 
 __all__ = ["ComponentTable", "read_components"]
 

@@ -9,7 +9,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from mvla_sim.scene.antenna_settings import AntennaSettings, Omni, PointingSettings
+from mvla_sim.scene.antenna import ANTENNAS, Antenna
+from mvla_sim.scene.antennas.omni import Omni
+from mvla_sim.scene.pointing import PointingSettings
 from mvla_sim.settings import Settings, apply_overrides, parse, read_toml, resolve_beside
 
 __all__ = [
@@ -133,7 +135,7 @@ class ImportSettings(Settings):
     kind: SourceKind | None = Field(None, description="by default told from the source's name and contents")
     name: str | None = None
     geometry: GeometrySettings = GeometrySettings()
-    antenna: AntennaSettings = Field(Omni(), description="pattern of both antennas: omni, horn or file")
+    antenna: Annotated[Antenna, ANTENNAS] = Field(Omni(), description="pattern of both antennas: omni, horn or file")
     sweeps: SweepSettings = SweepSettings()
     arrays: ArraySettings = ArraySettings()
     pairs: PairSelectionSettings = PairSelectionSettings()

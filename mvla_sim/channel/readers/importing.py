@@ -25,8 +25,11 @@ from mvla_sim.channel.references import calibrate, subtract_background
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene.positions import PLACE, RECEIVER, read_columns
-from mvla_sim.scene.trajectory import on_turntable, pointed, side_by_side, views_of_columns, views_on_circle
+from mvla_sim.scene.columns import PLACE, RECEIVER, read_columns
+from mvla_sim.scene.pointing import pointed, side_by_side
+from mvla_sim.scene.trajectories.positions import views_of_columns
+from mvla_sim.scene.trajectories.turntable import on_turntable
+from mvla_sim.scene.trajectory import views_on_circle
 from mvla_sim.scene.views import Views
 
 __all__ = ["import_channel", "source_kind"]

@@ -1,11 +1,8 @@
-"""Meshes of objects: prisms, files and cars, placed in the world; where a plane cuts them, and their plan view."""
+"""Where a plane cuts a mesh, and what it covers as seen from above."""
 
 from __future__ import annotations
 
-import io
-import math
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import shapely
@@ -14,74 +11,15 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from shapely.geometry.polygon import orient
 
 from mvla_sim.errors import DataError
-from mvla_sim.files import existing_file
-from mvla_sim.scene.scene_settings import Car, MeshFile, ObjectSettings
-from mvla_sim.scene.shapes import outline
-from mvla_sim.scene.vehicle import car_parts
 
-__all__ = ["MESH_FORMATS", "build_mesh", "build_parts", "cross_section", "footprint", "section_and_gap"]
+__all__ = ["cross_section", "footprint", "section_and_gap"]
 
-MESH_FORMATS: Final = ("glb", "obj", "off", "ply", "stl")
-"""File formats that carry a whole mesh in one file; none of them can name another file that we would follow."""
-
-SMALLEST_M: Final = 0.05
-LARGEST_M: Final = 200.0
 WELD: Final = 1e-7
 """Points nearer than this share of the mesh's size are one point: single precision, as in PLY and STL, is no finer."""
 NUDGE: Final = 4e-6
 """Step, as a share of the mesh's size, by which a plane through vertices moves; 0.03 mm for a target of 8 m."""
-
-
-def build_mesh(settings: ObjectSettings, key: str = "object") -> trimesh.Trimesh:
-    """Mesh of an object in the world, metres: its shape, scaled, turned about the vertical axis, then placed.
-
-    Prisms are centred on their position in height, cars stand on it; mesh files keep their own origin. A car's parts
-    are put into one mesh.
-
-    Parameters
-    ----------
-    settings
-        The object's settings.
-    key
-        What the object is called in messages, for example ``objects[0]``.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        Vertices ``[n_vertex, 3]`` metres, faces ``[n_face, 3]``; neither textures nor colours.
-
-    Raises
-    ------
-    ConfigError
-        A polygon that is not simple.
-    DataError
-        A mesh file that is missing, of an unknown format, broken, empty, or of an implausible size.
-    """
-    return trimesh.util.concatenate(list(build_parts(settings, key).values()))
-
-
-def build_parts(settings: ObjectSettings, key: str = "object") -> dict[str, trimesh.Trimesh]:
-    """Meshes of an object's parts in the world, metres, as of :func:`build_mesh`.
-
-    Returns
-    -------
-    dict of str to trimesh.Trimesh
-        A car's parts by their names; any other object is one part without a name.
-    """
-    if isinstance(settings, Car):
-        parts = car_parts(settings)
-    elif isinstance(settings, MeshFile):
-        parts = {"": _read(settings)}
-    else:
-        parts = {"": _prism(outline(settings, key), settings.height_m)}
-    turn = trimesh.transformations.rotation_matrix(math.radians(settings.rotation_deg), [0, 0, 1])
-    turn[:3, 3] = settings.position_m
-    for mesh in parts.values():
-        mesh.apply_transform(turn)
-    return parts
 
 
 def cross_section(mesh: trimesh.Trimesh, height_m: float, what: str) -> shapely.Geometry:
@@ -236,82 +174,3 @@ def _welded(segments: NDArray[np.float64], tolerance_m: float) -> NDArray[np.flo
     ends = np.sort(group[place.reshape(-1, 2)], axis=1)
     ends = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
     return np.asarray(points[first][ends], np.float64)
-
-
-def _prism(shape: shapely.Polygon, height_m: float) -> trimesh.Trimesh:
-    """Closed prism over a simple counter-clockwise outline, from -height/2 to height/2, normals outwards.
-
-    The caps are Delaunay triangles. Cutting ears, as is usual, leaves triangles of no area between vertices on one
-    line, as a star has them; their normals are noise, and each of their edges would diffract.
-    """
-    ring = shapely.get_coordinates(shape.exterior)[:-1]
-    count = len(ring)
-    index = {tuple(point): place for place, point in enumerate(ring.tolist())}
-    triangles = [orient(part) for part in shapely.constrained_delaunay_triangles(shape).geoms]
-    corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
-    bottom = np.array([index[tuple(point)] for point in corners.reshape(-1, 2).tolist()]).reshape(-1, 3)
-    here = np.arange(count)
-    after = (here + 1) % count
-    walls = [np.stack([here, after, after + count], axis=1), np.stack([here, after + count, here + count], axis=1)]
-    heights = np.repeat([-height_m / 2, height_m / 2], count)
-    vertices = np.column_stack([np.tile(ring, (2, 1)), heights])
-    return trimesh.Trimesh(vertices, np.concatenate([bottom[:, ::-1], bottom + count, *walls]), process=False)
-
-
-def _read(settings: MeshFile) -> trimesh.Trimesh:
-    """Mesh of a file with z up and its scale applied, in the file's own place."""
-    file = existing_file(settings.file, "mesh file")
-    vertices, faces = _parse(file)
-    if not len(faces):
-        raise DataError(f"{file}: has no faces; a point cloud or a set of lines is no mesh")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise DataError(f"{file}: a face uses vertex {faces.max()}; the file has {len(vertices)} vertices")
-    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-    if len(bad):
-        raise DataError(f"{file}: vertex {bad[0]} = {vertices[bad[0]].tolist()} is not finite ({len(bad)} such)")
-    if settings.up == "y":
-        vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
-    vertices = vertices * settings.scale
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    mesh.merge_vertices()  # STL, and others at sharp edges, repeat each vertex in each face
-    # Thin faces stay: taking one out tears its neighbours apart.
-    mesh.update_faces((np.diff(np.sort(mesh.faces, axis=1), axis=1) > 0).all(axis=1))
-    mesh.remove_unreferenced_vertices()
-    if mesh.is_empty:
-        raise DataError(f"{file}: none of its {len(faces)} faces has three vertices at scale = {settings.scale:g}")
-    _check_size(file, float(mesh.extents.max()), settings.scale)
-    return mesh
-
-
-def _parse(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices ``[n, 3]`` and faces ``[n, 3]`` as they stand in a file."""
-    kind = file.suffix.lower().removeprefix(".")
-    if kind not in MESH_FORMATS:
-        raise DataError(f"{file}: unknown mesh format '{kind}'; allowed: {', '.join(MESH_FORMATS)}")
-    options: dict[str, Any] = {"skip_materials": True} if kind in ("glb", "obj") else {}
-    try:
-        # Bytes without a resolver: textures, material libraries and outside buffers are never looked for.
-        with io.BytesIO(file.read_bytes()) as data:
-            loaded = trimesh.load(data, file_type=kind, force="mesh", process=False, **options)
-        vertices = np.asarray(loaded.vertices, np.float64).reshape(-1, 3)
-        faces = np.asarray(getattr(loaded, "faces", ()), np.int64).reshape(-1, 3)
-    except Exception as error:  # the parsers raise whatever a broken file trips over
-        # trimesh tries text where binary does not fit and then misses a module that guesses encodings
-        foreign = isinstance(error, ImportError) or not str(error).strip()
-        reason = "truncated, or of another format" if foreign else " ".join(str(error).split())
-        raise DataError(f"{file}: is not a readable {kind.upper()} file: {reason}") from error
-    return vertices, faces
-
-
-def _check_size(file: Path, extent_m: float, scale: float) -> None:
-    if SMALLEST_M <= extent_m <= LARGEST_M:
-        return
-    hint = "set scale so that it becomes metres"
-    units = (("millimetres", 1e-3), ("centimetres", 1e-2), ("kilometres", 1e3), ("metres already", 1.0))
-    for unit, factor in units:
-        if 0.5 <= extent_m / scale * factor <= LARGEST_M / 4 and factor != scale:
-            hint = f"if the file is in {unit} set scale = {factor:g}"
-            break
-    raise DataError(
-        f"{file}: extent is {extent_m:.4g} m at scale = {scale:g}; allowed: {SMALLEST_M:g} to {LARGEST_M:g} m; {hint}"
-    )

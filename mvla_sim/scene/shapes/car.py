@@ -7,15 +7,17 @@ below are metres of a car of the default size; lengths, breadths and heights sca
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
-from mvla_sim.scene.scene_settings import Car
+from mvla_sim.scene.material import CustomMaterial, Material
+from mvla_sim.scene.shape import Shape
 
-__all__ = ["car_parts", "part_settings"]
+__all__ = ["RUBBER", "Car"]
 
 SIZE_M: Final = (4.22, 1.76, 1.60)
 """Length, width and height of the car that the tables describe."""
@@ -73,54 +75,66 @@ MIRROR: Final = ((-0.03, 0.045, 0.05), (0.12, 0.055, 0.075))
 METAL: Final = ("body", "roof", "mirror-left", "mirror-right")
 
 
-def car_parts(settings: Car) -> dict[str, trimesh.Trimesh]:
-    """Meshes of a car's parts in its own frame: front towards +x, standing on z = 0, its middle at x = y = 0.
-
-    Parameters
-    ----------
-    settings
-        The car; only its size counts here.
-
-    Returns
-    -------
-    dict of str to trimesh.Trimesh
-        By name: ``body``, ``cabin`` (its windows), ``roof``, ``wheel-front-left`` and three more, ``mirror-left`` and
-        ``mirror-right``. Each is closed, with normals outwards; vertices in metres. All but the mirrors fill the box
-        length × width × height exactly.
-
-    Notes
-    -----
-    Parts reach into each other, so that no two faces lie in one place: the cabin's foot is inside the body, its head
-    inside the roof. The doors are upright from 0.70 to 1.00 m (at the default height) and flat between the wheels.
-    Wheels keep round: they scale with the smaller of the car's length and height.
-
-    Examples
-    --------
-    >>> [round(float(side), 3) for side in car_parts(Car(shape="car"))["body"].extents]
-    [4.22, 1.76, 0.86]
-    """
-    scale = np.array([settings.length_m, settings.width_m, settings.height_m]) / SIZE_M
-    wheel_scale = float(min(scale[0], scale[2]))
-    parts = {
-        "body": _loft(_body(scale, wheel_scale)),
-        "cabin": _loft(_rings([np.column_stack([r, [z] * len(r)]) for r, z in zip(CABIN, CABIN_HEIGHTS, strict=True)])),
-        "roof": _loft(_rings(ROOF)),
-    }
-    for part in ("cabin", "roof"):
-        parts[part].vertices *= scale
-    half_width = settings.width_m / 2
-    for end, axle in zip(("front", "rear"), AXLES, strict=True):
-        left = _loft(_wheel(axle * scale[0], half_width, wheel_scale))
-        parts |= {f"wheel-{end}-left": left, f"wheel-{end}-right": _mirrored(left)}
-    left = _loft(_mirror(MIRROR_AT[0] * scale[0], half_width, MIRROR_AT[1] * scale[2]))
-    return parts | {"mirror-left": left, "mirror-right": _mirrored(left)}
+RUBBER: Final = CustomMaterial(relative_permittivity=4.0, conductivity_s_per_m=0.8)
+"""Round figures, not measured ones: rubber filled with carbon black, with a loss tangent of 0.1 at 36 GHz."""
 
 
-def part_settings(settings: Car, part: str) -> Car:
-    """Settings of a part: the car's, with the material and thickness of that part."""
-    if part == "cabin":
-        return settings.model_copy(update={"material": settings.glass, "thickness_m": settings.glass_thickness_m})
-    return settings if part in METAL else settings.model_copy(update={"material": settings.tyres})
+class Car(Shape):
+    """A car that stands on its position, front towards +x; ``material`` is that of its sheet metal."""
+
+    shape: Literal["car"] = "car"
+    length_m: Annotated[float, Field(ge=3, le=6)] = 4.22
+    width_m: Annotated[float, Field(ge=1.4, le=2.4, description="without the mirrors")] = 1.76
+    height_m: Annotated[float, Field(ge=1.2, le=2.4)] = 1.60
+    glass: Material = "glass"
+    glass_thickness_m: Annotated[float, Field(gt=0, le=0.1)] = 0.005
+    tyres: Material = RUBBER
+
+    def own_parts(self, key: str = "object") -> dict[str, trimesh.Trimesh]:
+        """Meshes of the parts: front towards +x, standing on z = 0, the car's middle at x = y = 0.
+
+        Parameters
+        ----------
+        key
+            Not used.
+
+        Returns
+        -------
+        dict of str to trimesh.Trimesh
+            By name: ``body``, ``cabin`` (its windows), ``roof``, ``wheel-front-left`` and three more, ``mirror-left``
+            and ``mirror-right``. Each is closed, with normals outwards; vertices in metres. All but the mirrors fill
+            the box length × width × height exactly.
+
+        Notes
+        -----
+        Parts reach into each other, so that no two faces lie in one place: the cabin's foot is inside the body, its
+        head inside the roof. The doors are upright from 0.70 to 1.00 m (at the default height) and flat between the
+        wheels. Wheels keep round: they scale with the smaller of the car's length and height.
+
+        Examples
+        --------
+        >>> [round(float(side), 3) for side in Car().own_parts()["body"].extents]
+        [4.22, 1.76, 0.86]
+        """
+        del key
+        scale = np.array([self.length_m, self.width_m, self.height_m]) / SIZE_M
+        wheel_scale = float(min(scale[0], scale[2]))
+        cabin = [np.column_stack([r, [z] * len(r)]) for r, z in zip(CABIN, CABIN_HEIGHTS, strict=True)]
+        parts = {"body": _loft(_body(scale, wheel_scale)), "cabin": _loft(_rings(cabin)), "roof": _loft(_rings(ROOF))}
+        for part in ("cabin", "roof"):
+            parts[part].vertices *= scale
+        half_width = self.width_m / 2
+        for end, axle in zip(("front", "rear"), AXLES, strict=True):
+            left = _loft(_wheel(axle * scale[0], half_width, wheel_scale))
+            parts |= {f"wheel-{end}-left": left, f"wheel-{end}-right": _mirrored(left)}
+        left = _loft(_mirror(MIRROR_AT[0] * scale[0], half_width, MIRROR_AT[1] * scale[2]))
+        return parts | {"mirror-left": left, "mirror-right": _mirrored(left)}
+
+    def part(self, name: str) -> Car:
+        """Settings of a part: the car's, with the material and thickness of that part."""
+        if name == "cabin":
+            return self.model_copy(update={"material": self.glass, "thickness_m": self.glass_thickness_m})
+        return self if name in METAL else self.model_copy(update={"material": self.tyres})
 
 
 def _body(scale: NDArray[np.float64], wheel_scale: float) -> NDArray[np.float64]:

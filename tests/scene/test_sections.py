@@ -13,18 +13,23 @@ from hypothesis import strategies as st
 from shapely import affinity
 
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene.meshes import build_mesh, cross_section, section_and_gap
-from mvla_sim.scene.scene_settings import Circle, MeshFile, Polygon, Rectangle, Square, Star, Triangle
-from mvla_sim.scene.shapes import outline
+from mvla_sim.scene.cross_sections import cross_section, section_and_gap
+from mvla_sim.scene.shapes.cylinder import Cylinder
+from mvla_sim.scene.shapes.mesh_file import MeshFile
+from mvla_sim.scene.shapes.polygon import Polygon
+from mvla_sim.scene.shapes.rectangle import Rectangle
+from mvla_sim.scene.shapes.square import Square
+from mvla_sim.scene.shapes.star import Star
+from mvla_sim.scene.shapes.triangle import Triangle
 
 SHAPES = [
-    Circle(shape="circle"),
-    Circle(shape="circle", facets=3),
-    Square(shape="square"),
-    Rectangle(shape="rectangle", length_m=3, width_m=0.5),
-    Triangle(shape="triangle"),
-    Star(shape="star"),
-    Polygon(shape="polygon", vertices_m=((0.0, 0.0), (5.0, 0.0), (5.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0))),
+    Cylinder(),
+    Cylinder(facets=3),
+    Square(),
+    Rectangle(length_m=3, width_m=0.5),
+    Triangle(),
+    Star(),
+    Polygon(vertices_m=((0.0, 0.0), (5.0, 0.0), (5.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0))),
 ]
 EXACT = 1e-6  # share of the area: points nearer than 1e-7 of the size are one, on a perimeter of a few sizes
 
@@ -50,20 +55,20 @@ def box(lower, upper):
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: s.shape)
 def test_prism_is_closed_and_centred_with_its_volume(shape):
-    mesh = build_mesh(moved(shape, height_m=3.0))
+    mesh = moved(shape, height_m=3.0).mesh()
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert mesh.area_faces.min() > 1e-6  # m²; the thinnest here is a circle's: a triangle over two facets of 7 cm
-    assert mesh.volume == pytest.approx(3 * outline(shape).area, rel=1e-9)  # positive: normals point outwards
+    assert mesh.volume == pytest.approx(3 * shape.outline().area, rel=1e-9)  # positive: normals point outwards
     np.testing.assert_allclose(mesh.bounds[:, 2], [-1.5, 1.5], rtol=1e-12)
 
 
 @pytest.mark.parametrize("height", [0.0, 0.3, 1.0, -1.0], ids=lambda h: f"z={h}")
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: s.shape)
 def test_prism_is_cut_to_its_outline_even_along_its_faces(shape, height):
-    section = cross_section(build_mesh(shape), height, "prism")
-    assert difference(outline(shape), section) < EXACT
-    corners = len(outline(shape).exterior.coords)
+    section = cross_section(shape.mesh(), height, "prism")
+    assert difference(shape.outline(), section) < EXACT
+    corners = len(shape.outline().exterior.coords)
     assert corners <= len(section.exterior.coords) < 1.3 * corners + 1  # walls' diagonals would double them
 
 
@@ -71,13 +76,13 @@ def test_prism_is_cut_to_its_outline_even_along_its_faces(shape, height):
 @settings(deadline=None, max_examples=30)
 def test_turning_and_moving_the_object_turns_and_moves_the_section(turn, place, shape):
     placed = moved(shape, rotation_deg=turn, position_m=(*place, 0.25))
-    expected = affinity.translate(affinity.rotate(outline(shape), turn, origin=(0, 0)), *place)
-    assert difference(expected, cross_section(build_mesh(placed), 0.0, "prism")) < EXACT
+    expected = affinity.translate(affinity.rotate(shape.outline(), turn, origin=(0, 0)), *place)
+    assert difference(expected, cross_section(placed.mesh(), 0.0, "prism")) < EXACT
 
 
 def test_a_star_turned_by_a_fifth_of_a_turn_is_the_same():
     star = SHAPES[5]
-    sections = [cross_section(build_mesh(moved(star, rotation_deg=a)), 0.0, "star") for a in (0.0, 72.0, 36.0)]
+    sections = [cross_section(moved(star, rotation_deg=a).mesh(), 0.0, "star") for a in (0.0, 72.0, 36.0)]
     assert difference(sections[0], sections[1]) < EXACT
     assert difference(sections[0], sections[2]) > 0.1
 
@@ -114,7 +119,7 @@ def test_parts_with_a_wall_in_common_are_one():
 
 
 def test_a_mesh_in_single_precision_with_repeated_vertices_is_closed():
-    mesh = build_mesh(moved(SHAPES[0], rotation_deg=33.3, position_m=(1.1, -2.2, 0.0)))
+    mesh = moved(SHAPES[0], rotation_deg=33.3, position_m=(1.1, -2.2, 0.0)).mesh()
     loose = trimesh.Trimesh(
         mesh.triangles.reshape(-1, 3).astype(np.float32), np.arange(3 * len(mesh.faces)).reshape(-1, 3), process=False
     )
@@ -143,19 +148,19 @@ def test_a_lone_sheet_is_open():
 @pytest.mark.parametrize("height", [1.5, -4.0])
 def test_a_plane_beside_the_mesh_is_refused_with_both_heights(height):
     with pytest.raises(DataError, match=rf"post: the mesh spans z = -1 to 1 m .*plane z = {height:g} m"):
-        cross_section(build_mesh(SHAPES[2]), height, "post")
-    area, gap = section_and_gap(build_mesh(SHAPES[2]), height)
+        cross_section(SHAPES[2].mesh(), height, "post")
+    area, gap = section_and_gap(SHAPES[2].mesh(), height)
     assert area.is_empty
     assert gap is None
 
 
 @pytest.mark.parametrize("suffix", ["ply", "obj", "stl", "glb", "off"])
 def test_a_file_comes_back_scaled_turned_and_placed(tmp_path, suffix):
-    star = build_mesh(moved(SHAPES[5], radius_m=4000.0, height_m=2000.0))
+    star = moved(SHAPES[5], radius_m=4000.0, height_m=2000.0).mesh()
     file = write(star, tmp_path / f"star.{suffix}")
-    placed = MeshFile(shape="mesh", file=str(file), scale=1e-3, rotation_deg=25.0, position_m=(1.0, 2.0, 0.5))
-    mesh = build_mesh(placed)
-    expected = build_mesh(moved(SHAPES[5], rotation_deg=25.0, position_m=(1.0, 2.0, 0.5)))
+    placed = MeshFile(file=str(file), scale=1e-3, rotation_deg=25.0, position_m=(1.0, 2.0, 0.5))
+    mesh = placed.mesh()
+    expected = moved(SHAPES[5], rotation_deg=25.0, position_m=(1.0, 2.0, 0.5)).mesh()
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(expected.volume, rel=1e-5)  # single precision in STL and GLB
     np.testing.assert_allclose(mesh.bounds, expected.bounds, atol=1e-5)  # metres, as above
@@ -166,12 +171,12 @@ def test_a_file_comes_back_scaled_turned_and_placed(tmp_path, suffix):
 def test_up_axis_y_becomes_z_without_mirroring(tmp_path):
     # an L-shaped foot, 3 m high along the file's y; x stays x, what is towards the viewer (+z) goes to -y
     corners = ((0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0))
-    upright = build_mesh(Polygon(shape="polygon", vertices_m=corners, height_m=3.0))
+    upright = Polygon(vertices_m=corners, height_m=3.0).mesh()
     lying = upright.copy()
     lying.vertices = np.stack([upright.vertices[:, 0], upright.vertices[:, 2], -upright.vertices[:, 1]], axis=1)
     assert lying.volume > 0  # a turn, no reflection
     file = write(lying, tmp_path / "foot.ply")
-    mesh = build_mesh(MeshFile(shape="mesh", file=str(file), up="y"))
+    mesh = MeshFile(file=str(file), up="y").mesh()
     np.testing.assert_allclose(mesh.bounds, upright.bounds, atol=1e-6)  # PLY holds single precision
     sections = [cross_section(m, 0.0, "foot") for m in (upright, mesh)]
     assert difference(*sections) < 1e-5
@@ -180,14 +185,14 @@ def test_up_axis_y_becomes_z_without_mirroring(tmp_path):
 def test_a_file_in_millimetres_is_told_so(tmp_path):
     file = write(trimesh.creation.box((4220, 1800, 1500)), tmp_path / "car.stl")
     with pytest.raises(DataError, match=r"car\.stl: extent is 4220 m .*in millimetres set scale = 0\.001"):
-        build_mesh(MeshFile(shape="mesh", file=str(file)))
-    assert build_mesh(MeshFile(shape="mesh", file=str(file), scale=1e-3)).extents.max() == pytest.approx(4.22)
+        MeshFile(file=str(file)).mesh()
+    assert MeshFile(file=str(file), scale=1e-3).mesh().extents.max() == pytest.approx(4.22)
 
 
 def test_a_file_in_metres_scaled_down_is_told_so(tmp_path):
     file = write(trimesh.creation.box((4.2, 1.8, 1.5)), tmp_path / "car.ply")
     with pytest.raises(DataError, match=r"extent is 0\.0042 m at scale = 0\.001.*metres already set scale = 1"):
-        build_mesh(MeshFile(shape="mesh", file=str(file), scale=1e-3))
+        MeshFile(file=str(file), scale=1e-3).mesh()
 
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
@@ -216,7 +221,7 @@ def test_an_unusable_file_is_named(tmp_path, name, content, says):
     if content is not None:
         file.write_bytes(content)
     with pytest.raises(DataError, match=says) as caught:
-        build_mesh(MeshFile(shape="mesh", file=str(file)))
+        MeshFile(file=str(file)).mesh()
     assert name in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -224,11 +229,11 @@ def test_an_unusable_file_is_named(tmp_path, name, content, says):
 @pytest.mark.parametrize("suffix", ["ply", "stl", "glb"])
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.95])
 def test_a_truncated_file_is_named(tmp_path, suffix, share):
-    file = write(build_mesh(SHAPES[5]), tmp_path / f"star.{suffix}")
+    file = write(SHAPES[5].mesh(), tmp_path / f"star.{suffix}")
     data = file.read_bytes()
     file.write_bytes(data[: int(share * len(data))])
     with pytest.raises(DataError, match=rf"star\.{suffix}"):
-        build_mesh(MeshFile(shape="mesh", file=str(file)))
+        MeshFile(file=str(file)).mesh()
 
 
 def test_files_that_a_mesh_names_are_never_opened(tmp_path):
@@ -236,10 +241,10 @@ def test_files_that_a_mesh_names_are_never_opened(tmp_path):
     faces = "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
     file = tmp_path / "tetra.obj"
     file.write_text(f"mtllib bait.mtl\nmtllib /etc/hostname\nusemtl bait\n{OBJ}{faces}")
-    assert build_mesh(MeshFile(shape="mesh", file=str(file))).volume == pytest.approx(1 / 6)
+    assert MeshFile(file=str(file)).mesh().volume == pytest.approx(1 / 6)
 
 
 def test_a_crossed_polygon_is_named_by_its_key():
-    crossed = Polygon(shape="polygon", vertices_m=((0.0, 0.0), (2.0, 2.0), (2.0, 0.0), (0.0, 2.0)))
+    crossed = Polygon(vertices_m=((0.0, 0.0), (2.0, 2.0), (2.0, 0.0), (0.0, 2.0)))
     with pytest.raises(ConfigError, match=r"objects\[1\]\.vertices_m"):
-        build_mesh(crossed, "objects[1]")
+        crossed.mesh("objects[1]")

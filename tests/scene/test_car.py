@@ -12,21 +12,23 @@ import trimesh
 from shapely import affinity
 
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene import meshes
-from mvla_sim.scene.meshes import build_mesh, build_parts, cross_section, footprint, section_and_gap
-from mvla_sim.scene.scene_settings import RUBBER, Car, Circle, MeshFile, Polygon, SceneSettings, Square, Star
-from mvla_sim.scene.shapes import outline
-from mvla_sim.scene.vehicle import car_parts
-from mvla_sim.scene.world import Scene
+from mvla_sim.scene.cross_sections import cross_section, footprint, section_and_gap
+from mvla_sim.scene.shapes.car import RUBBER, Car
+from mvla_sim.scene.shapes.cylinder import Cylinder
+from mvla_sim.scene.shapes.mesh_file import MeshFile
+from mvla_sim.scene.shapes.polygon import Polygon
+from mvla_sim.scene.shapes.square import Square
+from mvla_sim.scene.shapes.star import Star
+from mvla_sim.scene.world import Scene, SceneSettings
 from mvla_sim.settings import parse
 
 VEHICLE = Path(__file__).parents[2] / "scenes" / "vehicle.toml"
-CAR = Car(shape="car")
+CAR = Car()
 SIZES = [
     CAR,
-    Car(shape="car", length_m=3.0, width_m=1.4, height_m=2.4),  # the wheels are small for its height
-    Car(shape="car", length_m=6.0, width_m=2.4, height_m=1.2),
-    Car(shape="car", length_m=3.0, width_m=2.4, height_m=1.2),
+    Car(length_m=3.0, width_m=1.4, height_m=2.4),  # the wheels are small for its height
+    Car(length_m=6.0, width_m=2.4, height_m=1.2),
+    Car(length_m=3.0, width_m=2.4, height_m=1.2),
 ]
 METAL = ["body", "roof", "mirror-left", "mirror-right"]
 WHEELS = ["wheel-front-left", "wheel-front-right", "wheel-rear-left", "wheel-rear-right"]
@@ -50,12 +52,12 @@ def settings_of(*objects, **other):
 
 
 def scene(*objects, **other):
-    return Scene.from_settings(SceneSettings.model_validate(settings_of(*objects, **other)), "test.toml")
+    return Scene(SceneSettings.model_validate(settings_of(*objects, **other)), source="test.toml")
 
 
 @sizes
 def test_it_fills_its_box_exactly_and_the_mirrors_stick_out(car):
-    parts = car_parts(car)
+    parts = car.own_parts()
     rest = joined(mesh for name, mesh in parts.items() if not name.startswith("mirror"))
     low = [-car.length_m / 2, -car.width_m / 2, 0.0]
     high = [car.length_m / 2, car.width_m / 2, car.height_m]
@@ -69,7 +71,7 @@ def test_it_fills_its_box_exactly_and_the_mirrors_stick_out(car):
 
 @sizes
 def test_each_part_is_closed_with_its_normals_outwards(car):
-    parts = car_parts(car)
+    parts = car.own_parts()
     assert list(parts) == ["body", "cabin", "roof", *WHEELS, "mirror-left", "mirror-right"]
     for mesh in parts.values():
         assert mesh.is_watertight
@@ -80,7 +82,7 @@ def test_each_part_is_closed_with_its_normals_outwards(car):
 
 
 def test_its_volume_is_that_of_a_car():
-    volumes = {name: mesh.volume for name, mesh in car_parts(CAR).items()}
+    volumes = {name: mesh.volume for name, mesh in CAR.own_parts().items()}
     box = CAR.length_m * CAR.width_m * CAR.height_m
     assert 0.5 < sum(volumes.values()) / box < 0.65  # the parts overlap by little
     assert volumes["body"] > volumes["cabin"] > 1.0 > volumes["roof"]
@@ -90,7 +92,7 @@ def test_its_volume_is_that_of_a_car():
 
 @sizes
 def test_left_and_right_are_alike(car):
-    parts = car_parts(car)
+    parts = car.own_parts()
     for name in ("body", "cabin", "roof"):
         low, high = parts[name].bounds[:, 2]
         for height in np.linspace(low, high, 7)[1:-1]:
@@ -105,7 +107,7 @@ def test_left_and_right_are_alike(car):
 @sizes
 def test_the_windows_end_inside_the_sheet_metal(car):
     """Where a window's rim is open to the air, its cap would be a roof or a floor of glass."""
-    parts = car_parts(car)
+    parts = car.own_parts()
     low, high = parts["cabin"].bounds[:, 2]
     for height, holder in ((low + 1e-4, "body"), (high - 1e-4, "roof")):
         rim, _ = section_and_gap(parts["cabin"], height)
@@ -114,7 +116,7 @@ def test_the_windows_end_inside_the_sheet_metal(car):
 
 
 def test_the_doors_are_upright_at_nine_tenths_of_a_metre():
-    body = car_parts(CAR)["body"]
+    body = CAR.own_parts()["body"]
     for axis, side, reach in ((1, 1, 2.0), (1, -1, 2.0), (0, 1, 0.8), (0, -1, 0.8)):
         facing = body.triangles[side * body.face_normals[:, axis] > 1 - 1e-12].reshape(-1, 3)
         across = np.ptp(facing[:, 1 - axis])
@@ -126,7 +128,7 @@ def test_the_doors_are_upright_at_nine_tenths_of_a_metre():
 
 
 def test_it_stands_on_its_wheels_with_its_bonnet_in_front():
-    parts = car_parts(CAR)
+    parts = CAR.own_parts()
     for name in WHEELS:
         vertices = parts[name].vertices
         assert np.sum(vertices[:, 2] < ROUNDING) == 4  # a flat of the 12 sides
@@ -141,15 +143,15 @@ def test_it_stands_on_its_wheels_with_its_bonnet_in_front():
 
 
 def test_turning_and_moving_it_takes_every_part_along():
-    placed = build_parts(CAR.model_copy(update={"rotation_deg": 90.0, "position_m": (5.0, -2.0, 0.3)}))
-    for name, mesh in car_parts(CAR).items():
+    placed = CAR.model_copy(update={"rotation_deg": 90.0, "position_m": (5.0, -2.0, 0.3)}).parts()
+    for name, mesh in CAR.own_parts().items():
         x, y, z = mesh.vertices.T
         np.testing.assert_allclose(placed[name].vertices, np.column_stack([5 - y, -2 + x, 0.3 + z]), atol=ROUNDING)
-    np.testing.assert_allclose(build_mesh(CAR).bounds, [[-2.11, -1.0, 0.0], [2.11, 1.0, 1.6]], atol=ROUNDING)
+    np.testing.assert_allclose(CAR.mesh().bounds, [[-2.11, -1.0, 0.0], [2.11, 1.0, 1.6]], atol=ROUNDING)
 
 
 def test_a_prism_is_one_part_without_a_name():
-    assert list(build_parts(Square(shape="square"))) == [""]
+    assert list(Square().parts()) == [""]
 
 
 def test_a_scene_gives_each_part_its_material():
@@ -159,7 +161,7 @@ def test_a_scene_gives_each_part_its_material():
     )
     parts = {item.name.removeprefix("car-1-"): item for item in world.objects[1:]}
     assert world.objects[0].name == "square-0"
-    assert list(parts) == list(car_parts(CAR))
+    assert list(parts) == list(CAR.own_parts())
     assert [item.index for item in world.objects] == [0] + [1] * 9
     for name, item in parts.items():
         thickness = 0.004 if name == "cabin" else 0.02
@@ -189,12 +191,14 @@ def test_fingerprint_sees_size_materials_and_the_mesh_itself(monkeypatch):
     assert len(found) == len(worlds)
     assert scene({"shape": "car", "name": "other"}).fingerprint() in found
 
-    def other_parts(settings):
-        parts = car_parts(settings)
+    own_parts = Car.own_parts
+
+    def other_parts(car, key):
+        parts = own_parts(car, key)
         parts["roof"].vertices[0, 2] += 1e-3
         return parts
 
-    monkeypatch.setattr(meshes, "car_parts", other_parts)
+    monkeypatch.setattr(Car, "own_parts", other_parts)
     assert scene().fingerprint() not in found
 
 
@@ -211,7 +215,7 @@ def test_names_of_parts_are_unique_too():
 
 
 def test_its_section_is_that_of_the_parts_the_plane_cuts():
-    body = cross_section(car_parts(CAR)["body"], 0.9, "body")
+    body = cross_section(CAR.own_parts()["body"], 0.9, "body")
     doors = scene()
     assert difference(body, doors.outline) < EXACT
     windows = scene(plane_height_m=1.3)
@@ -243,11 +247,6 @@ def test_a_setting_out_of_bounds_is_named(key, value):
         parse(SceneSettings, settings_of({"shape": "car", key: value}), "scene")
 
 
-def test_it_has_no_outline_of_its_own():
-    with pytest.raises(ConfigError, match=r"objects\[0\]: shape = 'car'"):
-        outline(CAR, "objects[0]")
-
-
 def test_its_footprint_is_its_plan_view():
     world = Scene.load(VEHICLE)
     assert world.outline.geom_type == "Polygon"
@@ -274,7 +273,7 @@ def test_a_footprint_turns_and_moves_with_the_car():
 def test_a_footprint_needs_no_plane_and_holds_what_is_above_it():
     star, roof = {"shape": "star"}, {"shape": "square", "side_m": 4.0, "position_m": (5, 0, 3)}
     world = scene(star, roof, plane_height_m=20.0, outline="footprint")
-    expected = outline(Star(shape="star")).union(shapely.box(3, -2, 7, 2))
+    expected = Star().outline().union(shapely.box(3, -2, 7, 2))
     assert difference(expected, world.outline) < EXACT
     assert world.extent_m == pytest.approx(8 * math.sin(0.4 * math.pi), rel=EXACT)
     assert scene({"shape": "circle"}, outline="footprint").extent_m == 8.0  # nominal, as for a section
@@ -284,18 +283,18 @@ def test_a_footprint_needs_no_plane_and_holds_what_is_above_it():
 @pytest.mark.parametrize(
     "shape",
     [
-        Circle(shape="circle", facets=36),
-        Square(shape="square"),
-        Star(shape="star"),
-        Polygon(shape="polygon", vertices_m=((0.0, 0.0), (5.0, 0.0), (5.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0))),
+        Cylinder(facets=36),
+        Square(),
+        Star(),
+        Polygon(vertices_m=((0.0, 0.0), (5.0, 0.0), (5.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0))),
     ],
     ids=lambda s: s.shape,
 )
 def test_the_footprint_of_a_prism_is_its_section(shape, turn):
-    mesh = build_mesh(shape.model_copy(update={"rotation_deg": turn}))
+    mesh = shape.model_copy(update={"rotation_deg": turn}).mesh()
     plan = footprint(mesh)
     assert difference(cross_section(mesh, 0.0, "prism"), plan) < EXACT
-    assert len(plan.exterior.coords) == len(outline(shape).exterior.coords)
+    assert len(plan.exterior.coords) == len(shape.outline().exterior.coords)
 
 
 def test_the_footprint_of_a_slanted_box_covers_both_ends():
@@ -333,9 +332,7 @@ def test_what_is_only_upright_has_no_footprint(tmp_path):
     sheet = trimesh.Trimesh([[0, 0, -1], [1, 0.3, -1], [0.5, 0.15, 1]], [[0, 1, 2]])
     assert footprint(sheet).is_empty
     sheet.export(tmp_path / "sheet.ply")
-    upright = MeshFile(shape="mesh", file=str(tmp_path / "sheet.ply")).model_dump()
+    upright = MeshFile(file=str(tmp_path / "sheet.ply")).model_dump()
     with pytest.raises(DataError, match=r"test\.toml: outline = 'footprint': no object has a face"):
         scene(upright, outline="footprint")
-    assert (
-        difference(outline(Star(shape="star")), scene(upright, {"shape": "star"}, outline="footprint").outline) < EXACT
-    )
+    assert difference(Star().outline(), scene(upright, {"shape": "star"}, outline="footprint").outline) < EXACT

@@ -1,0 +1,1 @@
+"""Antenna patterns: a class a file, found by its ``kind``."""

@@ -1,0 +1,1 @@
+"""Shapes of objects: a class a file, found by its ``shape``."""

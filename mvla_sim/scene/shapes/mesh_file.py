@@ -1,0 +1,92 @@
+"""A mesh read from a file."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from pydantic import Field, PositiveFloat
+
+from mvla_sim.errors import DataError
+from mvla_sim.files import existing_file
+from mvla_sim.scene.shape import Shape
+
+__all__ = ["MESH_FORMATS", "MeshFile"]
+
+MESH_FORMATS: Final = ("glb", "obj", "off", "ply", "stl")
+"""File formats that carry a whole mesh in one file; none of them can name another file that we would follow."""
+
+SMALLEST_M: Final = 0.05
+LARGEST_M: Final = 200.0
+
+
+class MeshFile(Shape):
+    """A mesh read from a file (PLY, OBJ, STL, GLB, …), scaled, turned and placed; metres after scaling."""
+
+    shape: Literal["mesh"] = "mesh"
+    file: str
+    scale: PositiveFloat = 1.0
+    up: Literal["z", "y"] = Field("z", description="which axis of the file points up")
+
+    def own_parts(self, key: str = "object") -> dict[str, trimesh.Trimesh]:
+        """Mesh of the file with z up and its scale applied, in the file's own place."""
+        del key
+        file = existing_file(self.file, "mesh file")
+        vertices, faces = _parse(file)
+        if not len(faces):
+            raise DataError(f"{file}: has no faces; a point cloud or a set of lines is no mesh")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise DataError(f"{file}: a face uses vertex {faces.max()}; the file has {len(vertices)} vertices")
+        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+        if len(bad):
+            raise DataError(f"{file}: vertex {bad[0]} = {vertices[bad[0]].tolist()} is not finite ({len(bad)} such)")
+        if self.up == "y":
+            vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
+        vertices = vertices * self.scale
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        mesh.merge_vertices()  # STL, and others at sharp edges, repeat each vertex in each face
+        # Thin faces stay: taking one out tears its neighbours apart.
+        mesh.update_faces((np.diff(np.sort(mesh.faces, axis=1), axis=1) > 0).all(axis=1))
+        mesh.remove_unreferenced_vertices()
+        if mesh.is_empty:
+            raise DataError(f"{file}: none of its {len(faces)} faces has three vertices at scale = {self.scale:g}")
+        _check_size(file, float(mesh.extents.max()), self.scale)
+        return {"": mesh}
+
+
+def _parse(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices ``[n, 3]`` and faces ``[n, 3]`` as they stand in a file."""
+    kind = file.suffix.lower().removeprefix(".")
+    if kind not in MESH_FORMATS:
+        raise DataError(f"{file}: unknown mesh format '{kind}'; allowed: {', '.join(MESH_FORMATS)}")
+    options: dict[str, Any] = {"skip_materials": True} if kind in ("glb", "obj") else {}
+    try:
+        # Bytes without a resolver: textures, material libraries and outside buffers are never looked for.
+        with io.BytesIO(file.read_bytes()) as data:
+            loaded = trimesh.load(data, file_type=kind, force="mesh", process=False, **options)
+        vertices = np.asarray(loaded.vertices, np.float64).reshape(-1, 3)
+        faces = np.asarray(getattr(loaded, "faces", ()), np.int64).reshape(-1, 3)
+    except Exception as error:  # the parsers raise whatever a broken file trips over
+        # trimesh tries text where binary does not fit and then misses a module that guesses encodings
+        foreign = isinstance(error, ImportError) or not str(error).strip()
+        reason = "truncated, or of another format" if foreign else " ".join(str(error).split())
+        raise DataError(f"{file}: is not a readable {kind.upper()} file: {reason}") from error
+    return vertices, faces
+
+
+def _check_size(file: Path, extent_m: float, scale: float) -> None:
+    if SMALLEST_M <= extent_m <= LARGEST_M:
+        return
+    hint = "set scale so that it becomes metres"
+    units = (("millimetres", 1e-3), ("centimetres", 1e-2), ("kilometres", 1e3), ("metres already", 1.0))
+    for unit, factor in units:
+        if 0.5 <= extent_m / scale * factor <= LARGEST_M / 4 and factor != scale:
+            hint = f"if the file is in {unit} set scale = {factor:g}"
+            break
+    raise DataError(
+        f"{file}: extent is {extent_m:.4g} m at scale = {scale:g}; allowed: {SMALLEST_M:g} to {LARGEST_M:g} m; {hint}"
+    )

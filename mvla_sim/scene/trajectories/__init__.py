@@ -1,0 +1,1 @@
+"""Trajectories of the sensor: a class a file, found by its ``kind``."""
