@@ -31,6 +31,8 @@ CD                 ``Scores.cd_db``                       dB(m²)
 from __future__ import annotations
 
 import importlib
+import os
+import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -221,6 +223,14 @@ __all__ = [
 ]
 
 
+def _choose_libllvm() -> None:
+    """Let whatever imports Dr.Jit later, as Sionna does, load a libLLVM it works with; nothing is loaded here."""
+    if "drjit" not in sys.modules and not os.environ.get("DRJIT_LIBLLVM_PATH"):
+        from mvla_sim.engine.llvm import preset  # noqa: PLC0415 - not where the user has chosen
+
+        preset()
+
+
 def __getattr__(name: str) -> Any:
     """Import a public name from its module on first use, so that ``import mvla_sim`` is quick."""
     if name not in _HOMES:
@@ -230,3 +240,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted([*__all__, "__version__"])
+
+
+_choose_libllvm()

@@ -1,4 +1,4 @@
-"""Errors that a user can mend: one line that names the file or key, the value and what is allowed."""
+"""Errors that a user can fix: one line that names the file or key, the value and what is allowed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class OutputError(MvlaError, OSError):
 
 
 class RuntimeUnfitError(MvlaError, RuntimeError):
-    """This machine cannot run the compiled kernels as it is set up; the message says what mends it."""
+    """This machine cannot run the compiled kernels as it is set up; the message says how to fix it."""
 
 
 def reason(error: BaseException) -> str:

@@ -14,14 +14,25 @@ USABLE: Final = 0.8
 """Share of the free memory that one array may take."""
 
 
-def check_memory(needed_bytes: float, what: str, mend: str) -> None:
-    """Raise ConfigError, naming ``what`` needs how much and the ``mend``, if it exceeds the free memory's usable share.
+def check_memory(needed_bytes: float, what: str, remedy: str) -> None:
+    """Refuse what exceeds the usable share of the free memory.
 
-    ``mend`` may hold ``{factor:.2g}``: how many times too large the need is.
+    Parameters
+    ----------
+    needed_bytes
+        How much it needs.
+    what
+        What it is, in the plural.
+    remedy
+        What to do about it; may hold ``{factor:.2g}``: how many times too large the need is.
+
+    Raises
+    ------
+    ConfigError
+        It does not fit.
     """
     free = psutil.virtual_memory().available
     if needed_bytes > USABLE * free:
         factor = needed_bytes / (USABLE * free)
-        raise ConfigError(
-            f"{what} need {needed_bytes / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free; {mend.format(factor=factor)}"
-        )
+        sizes = f"{needed_bytes / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free"
+        raise ConfigError(f"{what} need {sizes}; {remedy.format(factor=factor)}")

@@ -51,7 +51,7 @@ class BuildInterruptedError(MvlaError):
     exit_code = 130
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BuildResult:
     """What a build leaves.
 
@@ -74,7 +74,7 @@ def build_dataset(
     campaign: CampaignSettings | str | os.PathLike[str],
     folder: str | os.PathLike[str],
     *,
-    workers: int | None = 0,
+    workers: int | None = None,
     cluster: Cluster | None = None,
     retry_failed: bool = False,
 ) -> BuildResult:
@@ -87,8 +87,8 @@ def build_dataset(
     folder
         Directory of the dataset, made if it is not there.
     workers
-        Number of worker processes on this machine; 0: everything runs in this process, None: one a core. With any, a
-        script must call this under ``if __name__ == "__main__":``.
+        Number of processes, by default one a core, for which a script must call this under
+        ``if __name__ == "__main__":``; 0 for none but this one. It changes no number.
     cluster
         Makes the shards instead of so many workers; it stays open. Its workers need not share a disk with this machine.
     retry_failed

@@ -22,7 +22,7 @@ from mvla_sim.errors import DataError, RuntimeUnfitError, reason
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.scene.world import Scene
 
-__all__ = ["Estimate", "estimate"]
+__all__ = ["BuildForecast", "estimate"]
 
 PROBED: Final = 8
 """Samples of a probe, the same number of each family, of eight families at most."""
@@ -32,7 +32,7 @@ LOOKED_AT: Final = 2000
 """Samples among which those to probe are looked for."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Probe:
     """A part of a sample: some of its views.
 
@@ -58,7 +58,7 @@ class _Probe:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class BuildForecast:
     """What a build will make.
 
     Attributes
@@ -83,13 +83,16 @@ class Estimate:
     basis: str
 
 
-def estimate(campaign: CampaignSettings, folder: Path | None = None, workers: int = 0) -> Estimate:
-    """Say what a build would do; errors as :func:`~mvla_sim.dataset.build.build_dataset`, nothing is written.
+def estimate(campaign: CampaignSettings, folder: Path | None = None, workers: int | None = None) -> BuildForecast:
+    """Say what a build would do; arguments and errors as those of :func:`~mvla_sim.dataset.build.build_dataset`.
+
+    Nothing is written.
 
     Seconds of several workers are those of one with its share of the cores, divided: what they share, such as memory
     bandwidth, is left out.
     """
     check_room(campaign)
+    workers = core_count() if workers is None else workers
     kept = {} if folder is None or not folder.exists() else stored_shards(campaign, folder)[0]
     missing = campaign.samples - sum(len(numbers_of(campaign, number)) for number in kept)
     known = sum(entry.samples for entry in kept.values())
@@ -106,7 +109,7 @@ def estimate(campaign: CampaignSettings, folder: Path | None = None, workers: in
         sample_bytes = _sample_bytes(campaign, probes)
         starting_s = sum(probe.compiling_s for probe in probes)
         basis = f"from a probe: {PROBED_VIEWS} views each of {len(probes)} samples"
-    return Estimate(
+    return BuildForecast(
         campaign.samples,
         campaign.shards,
         len(kept),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from mvla_sim.dataset.access import Sample
 from mvla_sim.dataset.campaign import CampaignSettings
+from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import ConfigError, MvlaError, reason
 from mvla_sim.evaluation.candidates import best_db, best_pair, chamfer_table, worst_db
 from mvla_sim.evaluation.ground_truth import TruthGeometry
@@ -75,7 +76,7 @@ def protocol_settings(campaign: CampaignSettings, method: str, overrides: Sequen
     for text in overrides:
         block = text.partition("=")[0].strip().split(".")[0]
         if block in FIXED:
-            raise ConfigError(f"--set {text}: the protocol fixes {block}; allowed: the method's own settings")
+            raise ConfigError(f"{text}: the protocol fixes {block}; allowed: the method's own settings")
     return imaging_settings(
         overrides, method=method, grid=campaign.grid.model_dump(mode="json"), noise={"snr_db": SNR_DB}
     )
@@ -95,6 +96,7 @@ def score_sample(
     thresholds
         Thresholds of each method, at which it is scored; None: try every pair of candidates.
     """
+    provenance()  # asks git once a process, which is no time of a method
     geometry = TruthGeometry.build(sample.contour, sample.grid)
     return [_attempt(sample, one, pair, geometry) for one, pair in zip(settings, thresholds, strict=True)]
 

@@ -24,7 +24,7 @@ from mvla_sim.dataset.protocol import (
     score_sample,
 )
 from mvla_sim.engine.machine import program_version
-from mvla_sim.engine.provenance import provenance
+from mvla_sim.engine.provenance import code_digest, provenance
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import atomic_output, check_writable
 from mvla_sim.imaging.imaging_settings import ImagingSettings, ThresholdSettings, split_method
@@ -38,9 +38,11 @@ SCORES: Final = "scores"
 """Folder of the results inside a dataset's directory."""
 SCHEMA: Final = "mvla-sim score"
 MOST_BYTES: Final = 1 << 28
+NUMERIC: Final = ("constants", "streams", "dsp", "grid", "imaging", "evaluation")
+"""Parts of the package that decide a score, beside the method's own file."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Entry:
     """A competitor: a method with its settings, and the name it has in the table."""
 
@@ -76,6 +78,9 @@ class Result:
     validation_db: float
     rows: tuple[Mapping[str, Any], ...]
     settings: Mapping[str, Any]
+
+    def __hash__(self) -> int:
+        return hash((self.label, self.identity))
 
 
 def score_dataset(
@@ -153,16 +158,16 @@ def plan_entries(
 ) -> list[Entry]:
     """Check methods and settings before anything runs; parameters and errors as :func:`score_dataset`."""
     if label is not None and len(methods) != 1:
-        raise ConfigError(f"--label {label}: names one method, {len(methods)} are given")
+        raise ConfigError(f"label = {label}: names one method, {len(methods)} are given", setting="label")
     if label is not None and not re.fullmatch(r"[\w .:+=-]{1,60}", label):
-        raise ConfigError(f"--label {label!r}: allowed: up to 60 letters, digits, blanks and . : + = - _")
+        raise ConfigError(f"label = {label!r}: allowed: up to 60 letters, digits, blanks and . : + = - _")
     entries = []
     for name in dict.fromkeys(methods):
         settings = protocol_settings(dataset.campaign, name, overrides)
         entries.append(Entry(label or _label(name), settings, find_method(name).digest))
     labels = [entry.label for entry in entries]
     if double := next((one for one in labels if labels.count(one) > 1), None):
-        raise ConfigError(f"--method: two are called {double}; score them one by one, with --label")
+        raise ConfigError(f"methods: two are called {double}; score them one by one, with a label", setting="label")
     return entries
 
 
@@ -185,7 +190,7 @@ def load_results(dataset: BenchmarkDataset, place: Path) -> list[Result]:
             result = Result(**{**data["result"], "rows": tuple(data["result"]["rows"])})
             same = data["protocol"] == PROTOCOL and data["dataset"] == _dataset_digest(dataset)
             complete = [int(row["sample"]) for row in result.rows] == list(dataset.numbers)
-        except (ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError) as error:
             raise DataError(f"{file}: not a readable result file ({error}); delete it and score again") from error
         if same and complete:
             found.append(result)
@@ -265,7 +270,7 @@ def _identity(entry: Entry, dataset: BenchmarkDataset) -> str:
         "protocol": PROTOCOL,
         "dataset": _dataset_digest(dataset),
         "settings": _plain_settings(entry),
-        "code": entry.digest,
+        "code": [code_digest(*NUMERIC), entry.digest],
         "version": program_version(),
     }
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from mvla_sim.channel.cir import Cir
+from mvla_sim.channel.simulate import SimulationInterruptedError
 from mvla_sim.dataset.index import Index, ShardEntry, file_sha256
 from mvla_sim.dataset.reader import ShardReader
 from mvla_sim.dataset.sample import family_of, split_of
@@ -84,6 +85,8 @@ def verify(folder: str | os.PathLike[str], recompute: int = 3, seed: int = 0) ->
     ------
     DataError, ConfigError
         There is no index, or it cannot be used; all else is a problem in the report.
+    SimulationInterruptedError
+        Ctrl-C.
     """
     if recompute < 0:
         raise ConfigError(f"recompute = {recompute}; at least 0")
@@ -103,6 +106,8 @@ def verify(folder: str | os.PathLike[str], recompute: int = 3, seed: int = 0) ->
         for number in chosen:
             try:
                 stray = max(stray, _recompute(index, number))
+            except SimulationInterruptedError:
+                raise
             except MvlaError as error:
                 problems.append(f"sample {number}: {error}")
             advance(1)

@@ -1,6 +1,7 @@
 """Which compute backend runs the compiled kernels: CUDA where Dr.Jit finds a device, else LLVM on the CPU.
 
-Dr.Jit loads libLLVM when it is imported, so nothing may import drjit, mitsuba or sionna before :func:`activate`.
+Dr.Jit loads libLLVM when it is imported, so nothing in this package imports drjit, mitsuba or sionna before
+:func:`activate`; a program may once it has imported ``mvla_sim``.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any, Final, Literal, cast
 from mvla_sim.engine import llvm
 from mvla_sim.errors import ConfigError, RuntimeUnfitError
 
-__all__ = ["VARIABLE", "Backend", "activate", "activate_sionna", "active", "set_threads"]
+__all__ = ["VARIABLE", "Backend", "activate", "activate_sionna", "active", "requested", "set_threads"]
 
 VARIABLE: Final[str] = "MVLA_BACKEND"
 """The environment variable that overrides the choice: ``auto``, ``cuda`` or ``llvm``."""
@@ -68,10 +69,10 @@ def activate() -> Backend:
     ConfigError
         ``MVLA_BACKEND`` is neither ``auto`` nor ``cuda`` nor ``llvm``.
     RuntimeUnfitError
-        No backend can run here; the message says what mends it.
+        No backend can run here; the message says how to fix it.
     """
-    wanted = _wanted()
-    chosen = None if "drjit" in sys.modules else _choose_library(wanted)
+    wanted = requested()
+    chosen = llvm.preset_library() if "drjit" in sys.modules else _choose_library(wanted)
     dr = cast("Any", importlib.import_module("drjit"))
     if wanted != "llvm" and dr.has_backend(dr.JitBackend.CUDA):
         return Backend("cuda")
@@ -82,16 +83,30 @@ def activate() -> Backend:
     version = tuple(dr.detail.llvm_version()) if dr.has_backend(dr.JitBackend.LLVM) else ()
     if not version:
         library = chosen or "a libLLVM (it was imported before mvla_sim)"
-        raise RuntimeUnfitError(f"Dr.Jit could not load {library}: {llvm.mend()}")
+        raise RuntimeUnfitError(f"Dr.Jit could not load {library}: {llvm.remedy()}")
     text = llvm.version_text(version)
     if version[0] < llvm.MINIMUM_VERSION:
         raise RuntimeUnfitError(
-            f"Dr.Jit was imported before mvla_sim and uses libLLVM {text}, which is too old: call "
-            f"mvla_sim.engine.backend.activate() before drjit, mitsuba or sionna is imported, or set {llvm.VARIABLE}"
+            f"Dr.Jit was imported before mvla_sim and uses libLLVM {text}, which is too old: import "
+            f"mvla_sim before drjit, mitsuba and sionna, or set {llvm.VARIABLE}"
         )
     if chosen is None:
         return Backend("llvm", _loaded_library(), text, "loaded before")
     return Backend("llvm", _loaded_library() or Path(chosen.path), text, chosen.origin)
+
+
+def requested() -> Literal["auto", "cuda", "llvm"]:
+    """The choice that the environment makes.
+
+    Raises
+    ------
+    ConfigError
+        ``MVLA_BACKEND`` is neither ``auto`` nor ``cuda`` nor ``llvm``.
+    """
+    value = os.environ.get(VARIABLE, "auto") or "auto"
+    if value not in ("auto", "cuda", "llvm"):
+        raise ConfigError(f"{VARIABLE} = '{value}' is no backend; allowed: auto, cuda, llvm")
+    return cast("Literal['auto', 'cuda', 'llvm']", value)
 
 
 def active() -> Backend | None:
@@ -132,13 +147,6 @@ def set_threads(count: int) -> None:
         raise ConfigError(f"threads = {count}; at least 1")
     activate()
     cast("Any", importlib.import_module("drjit")).set_thread_count(count)
-
-
-def _wanted() -> Literal["auto", "cuda", "llvm"]:
-    value = os.environ.get(VARIABLE, "auto") or "auto"
-    if value not in ("auto", "cuda", "llvm"):
-        raise ConfigError(f"{VARIABLE} = '{value}' is no backend; allowed: auto, cuda, llvm")
-    return cast("Literal['auto', 'cuda', 'llvm']", value)
 
 
 def _choose_library(wanted: str) -> llvm.Library | None:

@@ -1,8 +1,10 @@
-"""Whether this machine can run the program, and what mends it if not."""
+"""Whether this machine can run the program, and how to fix it if not."""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import platform
 import shutil
 import signal
@@ -16,6 +18,7 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
+from mvla_sim.engine import backend as backends
 from mvla_sim.engine import llvm
 from mvla_sim.engine.cache import cache_folder
 from mvla_sim.engine.machine import core_count, cpu_name, package_versions, program_version
@@ -29,7 +32,7 @@ TIMEOUT_S: Final[float] = 180.0
 GIB: Final[int] = 2**30
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Smoke:
     """What the child process that traces one ray reported.
 
@@ -40,7 +43,7 @@ class Smoke:
     result
         In words, if the ray came back.
     problem
-        One line with its mend, if it did not.
+        One line with its remedy, if it did not.
     """
 
     backend: Mapping[str, Any]
@@ -57,7 +60,7 @@ class Facts:
     rows
         Pairs of a name and a value.
     problems
-        One line each, with what mends it; empty on a fit machine.
+        One line each, with its remedy; empty on a fit machine.
     """
 
     rows: tuple[tuple[str, str], ...]
@@ -80,8 +83,10 @@ def collect(smoke: Smoke | None = None) -> Facts:
         problems.append(str(error))
     if backend.get("backend") == "llvm":
         compute = f"LLVM on the CPU, {backend['threads']} threads"
+    elif backend.get("backend") == "cuda":
+        compute = "CUDA"
     else:
-        compute = {"cuda": "CUDA"}.get(backend.get("backend", ""), "none that is fit")
+        compute = "none: CUDA is asked for and no device is found" if _only_cuda(backend) else "none that is fit"
     rows = [
         ("mvla-sim", program_version()),
         ("backend", compute),
@@ -97,12 +102,12 @@ def collect(smoke: Smoke | None = None) -> Facts:
 
 
 def report(console: Console) -> int:
-    """Print the facts and, one line each, what is unfit and how to mend it.
+    """Print the facts and, one line each, what is unfit and how to fix it.
 
     Returns
     -------
     int
-        Exit status: 0 on a fit machine, else 1.
+        Exit status: 0 on a fit machine, else 2, as for every error that the user can fix.
     """
     facts = collect()
     table = Table(show_header=False, box=None, pad_edge=False)
@@ -115,26 +120,28 @@ def report(console: Console) -> int:
         console.print(f"unfit: {problem}", markup=False, highlight=False, soft_wrap=True)
     if not facts.problems:
         console.print("This machine is fit.", markup=False, highlight=False)
-    return 1 if facts.problems else 0
+    return 2 if facts.problems else 0
 
 
 def run_smoke(command: Sequence[str] = SMOKE_COMMAND, timeout_s: float = TIMEOUT_S) -> Smoke:
     """Trace one ray in a child process and read its report, however it ends."""
+    environment = dict(os.environ)
+    if llvm.preset_library() is not None:  # the child chooses by itself, and tells where its choice comes from
+        del environment[llvm.VARIABLE]
     try:
         child = subprocess.run(  # noqa: S603 - our own interpreter and module
-            list(command), capture_output=True, text=True, timeout=timeout_s, check=False, stdin=subprocess.DEVNULL
-        )
+            list(command), env=environment, capture_output=True, text=True, timeout=timeout_s, check=False,
+            stdin=subprocess.DEVNULL,
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
         return Smoke({}, None, f"the smoke trace did not end within {timeout_s:g} s: free the processor and try again")
     backend: dict[str, Any] = {}
     said: dict[str, Any] = {}
     for line in child.stdout.splitlines():
-        if line.startswith("{"):
+        with contextlib.suppress(ValueError):  # libraries may print as well
             facts = json.loads(line)
-            if "backend" in facts:
-                backend = facts
-            else:
-                said = facts
+            if isinstance(facts, dict):
+                backend, said = (facts, said) if "backend" in facts else (backend, facts)
     if "error" in said:
         return Smoke(backend, None, str(said["error"]))
     if child.returncode == 0 and "range_m" in said:
@@ -143,17 +150,22 @@ def run_smoke(command: Sequence[str] = SMOKE_COMMAND, timeout_s: float = TIMEOUT
 
 
 def _death(code: int, errors: str, backend: Mapping[str, Any]) -> str:
-    """One line on a child that did not live to tell: how it ended, its last words, and what mends it."""
+    """One line on a child that did not live to tell: how it ended, its last words, and how to fix it."""
     how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"failed with exit status {code}"
     lines = [line.strip() for line in errors.splitlines() if line.strip()]
     words = next((line for line in lines if "ERROR" in line), lines[-1] if code >= 0 and lines else "")
     words = f" ({words[:120]})" if words else ""
-    if code < 0 and backend.get("backend") != "cuda":
-        return f"the smoke trace {how}{words} with {_library(backend)}: {llvm.mend()}"
+    if code < 0 and not _only_cuda(backend):
+        return f"the smoke trace {how}{words} with {_library(backend)}: {llvm.remedy()}"
     return f"the smoke trace {how}{words}: reinstall mvla-sim in a fresh virtual environment"
 
 
 def _library(backend: Mapping[str, Any]) -> str:
     if not backend.get("libllvm_version"):
-        return "not used" if backend.get("backend") == "cuda" else "no fit libLLVM"
+        return "not used" if _only_cuda(backend) else "no fit libLLVM"
     return f"{backend['libllvm_version']}, {backend['libllvm'] or 'file unknown'} ({backend['origin']})"
+
+
+def _only_cuda(backend: Mapping[str, Any]) -> bool:
+    """Whether libLLVM is out of the question: CUDA is in use, or was asked for."""
+    return bool(backend.get("backend", os.environ.get(backends.VARIABLE)) == "cuda")

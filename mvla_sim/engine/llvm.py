@@ -23,6 +23,7 @@ From 17 on the traced power agreed to every printed digit. Hence :data:`MINIMUM_
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import platform
@@ -44,9 +45,11 @@ __all__ = [
     "WHEEL",
     "Library",
     "choose",
-    "mend",
     "preload_companions",
+    "preset",
+    "preset_library",
     "probe_version",
+    "remedy",
     "system_files",
     "version_from_name",
     "version_text",
@@ -116,6 +119,9 @@ class Library:
         return f"libLLVM {version_text(self.version)} at {self.path}"
 
 
+_preset: Library | None = None
+
+
 def choose(
     environment: Mapping[str, str] | None = None,
     wheel: Callable[[], Sequence[Path]] | None = None,
@@ -135,12 +141,12 @@ def choose(
     Raises
     ------
     RuntimeUnfitError
-        The named library is missing or too old, or there is none that is new enough; the message says what mends it.
+        The named library is missing or too old, or there is none that is new enough; the message says how to fix it.
     """
     environment = os.environ if environment is None else environment
     probe = probe or probe_version
     if named := environment.get(VARIABLE):
-        return _explicit(named, probe)
+        return _preset if _preset is not None and _preset.path == named else _explicit(named, probe)
     seen: list[Library] = []
     for origin, files in ((f"wheel {WHEEL}", wheel or wheel_files), ("system", system or system_files)):
         found = [Library(str(path), version, origin) for path in files() if (version := _version(path, probe))]
@@ -148,12 +154,33 @@ def choose(
             return max(fit, key=lambda library: library.version)
         seen += found
     if not seen:
-        raise RuntimeUnfitError(f"no libLLVM was found, which the compiled kernels need: {mend()}")
+        raise RuntimeUnfitError(f"no libLLVM was found, which the compiled kernels need: {remedy()}")
     newest = max(seen, key=lambda library: library.version)
-    raise RuntimeUnfitError(f"{newest} is too old and there is no newer one: {mend()}")
+    raise RuntimeUnfitError(f"{newest} is too old and there is no newer one: {remedy()}")
 
 
-def mend() -> str:
+def preset() -> None:
+    """Have Dr.Jit load a fit libLLVM whoever imports it first; called when the package is imported.
+
+    Nothing is loaded, and no library is asked for its version in a child process. Where the user names a library, or
+    none is fit, nothing is changed: :func:`choose` and ``mvla doctor`` say what is wrong.
+    """
+    global _preset  # noqa: PLW0603 - like the variable of the environment, one a process
+    if os.environ.get(VARIABLE):
+        return
+    with contextlib.suppress(RuntimeUnfitError, OSError):
+        library = choose(probe=lambda _path: None)
+        preload_companions(Path(library.path))
+        os.environ[VARIABLE] = library.path
+        _preset = library
+
+
+def preset_library() -> Library | None:
+    """What :func:`preset` has chosen, None where the variable is the user's."""
+    return _preset if _preset is not None and os.environ.get(VARIABLE) == _preset.path else None
+
+
+def remedy() -> str:
     """What to do about a missing or unfit libLLVM on this kind of machine, in words that follow a colon."""
     install = {
         ("Linux", "x86_64"): f"pip install {WHEEL}",
@@ -248,7 +275,7 @@ def _explicit(named: str, probe: Probe) -> Library:
         )
     version = _version(Path(named), probe)
     if version is None:
-        raise RuntimeUnfitError(f"{VARIABLE} = {named}: cannot be loaded as libLLVM; unset it, or {mend()}")
+        raise RuntimeUnfitError(f"{VARIABLE} = {named}: cannot be loaded as libLLVM; unset it, or {remedy()}")
     library = Library(named, version, VARIABLE)
     if not library.fit:
         raise RuntimeUnfitError(

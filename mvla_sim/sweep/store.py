@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import hashlib
 import json
 import os
 import sqlite3
@@ -14,12 +13,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from mvla_sim.engine.machine import program_version
+from mvla_sim.engine.provenance import code_digest
 from mvla_sim.errors import DataError, MvlaError, OutputError
 from mvla_sim.sweep.case import ROW_SCHEMA, Row, flatten
 from mvla_sim.sweep.experiment import dotted_key
 from mvla_sim.sweep.plan import Plan
 
-__all__ = ["FILE", "Store", "code_digest", "identity"]
+__all__ = ["FILE", "Store", "identity"]
 
 FILE: Final = "store.sqlite"
 LOCK: Final = ".lock"
@@ -32,8 +32,8 @@ CREATE TABLE cases (key TEXT PRIMARY KEY, status TEXT NOT NULL, error TEXT NOT N
                     metrics TEXT NOT NULL) WITHOUT ROWID;
 """
 
-PACKAGE: Final = Path(__file__).parents[1]
-NUMERIC: Final = ("scene", "channel", "imaging", "evaluation")
+NUMERIC: Final = ("constants", "streams", "dsp", "grid", "scene", "channel", "imaging", "evaluation")
+"""Parts of the package that decide a case's numbers."""
 
 Identity = dict[str, dict[str, Any]]
 
@@ -55,14 +55,6 @@ def identity(plan: Plan) -> Identity:
     common = flat(blocks) | {"axes": ", ".join(sorted(experiment.axes))}
     scenes = {name: scene.model_dump(mode="json", exclude={"description"}) for name, scene in plan.files.items()}
     return {"experiment": common} | {f"scene {name}": flat({"scene": data}) for name, data in scenes.items()}
-
-
-def code_digest() -> str:
-    """SHA-256, in hexadecimal, over the source of everything that decides a case's numbers."""
-    digest = hashlib.sha256()
-    for file in sorted(file for part in NUMERIC for file in (PACKAGE / part).rglob("*.py")):
-        digest.update(f"{file.relative_to(PACKAGE)}\n".encode() + file.read_bytes())
-    return digest.hexdigest()
 
 
 class Store:
@@ -135,7 +127,7 @@ class Store:
         try:
             return {row[0]: Row(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in found}
         except ValueError as error:
-            raise DataError(f"{self.file}: a stored case cannot be read ({error}); {_MEND}") from error
+            raise self._unusable(f"a stored case cannot be read ({error})") from error
 
     def add(self, row: Row) -> None:
         """Keep a case in place of what is stored under its key; on disk within half a second.
@@ -173,11 +165,11 @@ class Store:
                 for statement in TABLES.split(";")[:-1]:
                     self._database.execute(statement)
             codes = self._codes() if known is not None else []
-            current = code_digest()
+            current = code_digest(*NUMERIC)
             if any(code != current for code in codes):
                 self.notes.append(
                     f"{self.file}: some cases stored here were computed before this program's code was changed; "
-                    f"--fresh computes them anew"
+                    f"a fresh run computes them anew"
                 )
             values = {
                 "schema": ROW_SCHEMA,
@@ -200,24 +192,24 @@ class Store:
         """Identity of what is stored, None where nothing is; refuses what does not fit."""
         with self._explained():
             if self._database.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
-                raise DataError(f"{self.file}: the store is damaged; {_MEND}")
+                raise self._unusable("the store is damaged")
             tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
             if not tables:
                 return None
             if tables != {"meta", "cases"}:
-                raise DataError(f"{self.file}: is a database, but no store of a sweep; {_MEND}")
+                raise self._unusable("is a database, but no store of a sweep")
             meta = dict(self._database.execute("SELECT name, value FROM meta").fetchall())
         try:
             schema, program, known = (json.loads(meta[name]) for name in ("schema", "program", "identity"))
         except (KeyError, ValueError) as error:
-            raise DataError(f"{self.file}: the store's description cannot be read ({error!r}); {_MEND}") from error
+            raise self._unusable(f"the store's description cannot be read ({error!r})") from error
         if schema != ROW_SCHEMA:
-            raise DataError(f"{self.file}: schema {schema}; this program writes schema {ROW_SCHEMA}; {_MEND}")
+            raise self._unusable(f"schema {schema}; this program writes schema {ROW_SCHEMA}")
         if program != program_version():
-            raise DataError(f"{self.file}: made by mvla-sim {program}, this is {program_version()}; {_MEND}")
+            raise self._unusable(f"made by mvla-sim {program}, this is {program_version()}")
         differences = list(_differences(known, wanted))
         if differences:
-            raise DataError(f"{self.file}: holds cases of other settings: {'; '.join(differences)}; {_MEND}")
+            raise self._unusable(f"holds cases of other settings: {'; '.join(differences)}")
         stored: Identity = known
         return stored
 
@@ -227,6 +219,10 @@ class Store:
             self.flush()
         with contextlib.suppress(sqlite3.Error):
             self._database.close()
+
+    def _unusable(self, why: str) -> DataError:
+        advice = "choose another folder, or discard what is stored with a fresh run"
+        return DataError(f"{self.file}: {why}; {advice}", setting="fresh")
 
     @contextlib.contextmanager
     def _explained(self) -> Iterator[None]:
@@ -241,10 +237,7 @@ class Store:
                 ) from error
             if isinstance(error, sqlite3.OperationalError) and "malformed" not in text:
                 raise OutputError(f"{self.file}: cannot be used ({text})") from error
-            raise DataError(f"{self.file}: not a readable store, truncated or damaged ({text}); {_MEND}") from error
-
-
-_MEND: Final = "choose another folder with -o, or discard what is stored with --fresh"
+            raise self._unusable(f"not a readable store, truncated or damaged ({text})") from error
 
 
 @contextlib.contextmanager
@@ -254,24 +247,24 @@ def _locked(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         handle = (folder / LOCK).open("a+", encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"{folder}: cannot be written ({error.strerror}); choose another folder with -o") from error
+        raise _no_folder(folder, f"cannot be written ({error.strerror})") from error
     with handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             handle.seek(0)
             owner = handle.read(20).strip() or "unknown"
-            raise OutputError(
-                f"{folder}: another run is at work here (process {owner}); wait for it or choose another folder with -o"
-            ) from error
+            raise _no_folder(folder, f"another run is at work here (process {owner})") from error
         except OSError as error:
-            raise OutputError(
-                f"{folder}: cannot be locked ({error.strerror}); choose another folder with -o"
-            ) from error
+            raise _no_folder(folder, f"cannot be locked ({error.strerror})") from error
         handle.truncate(0)
         handle.write(str(os.getpid()))
         handle.flush()
         yield
+
+
+def _no_folder(folder: Path, why: str) -> OutputError:
+    return OutputError(f"{folder}: {why}; choose another folder", setting="output")
 
 
 def _under(key: str, replaced: tuple[str, ...]) -> bool:

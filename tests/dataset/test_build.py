@@ -39,14 +39,14 @@ def slow(scene, *, cache=True):
     return campaigns.fake_simulate(scene)
 shard.simulate = slow
 from mvla_sim.dataset.build import build_dataset
-build_dataset(sys.argv[1], sys.argv[2])
+build_dataset(sys.argv[1], sys.argv[2], workers=0)
 """
 
 
 @pytest.fixture
 def undisturbed(tmp_path):
     """Checksums of the data of a build that nothing happened to."""
-    return digests(build_dataset(tiny(tmp_path), tmp_path / "undisturbed").index)
+    return digests(build_dataset(tiny(tmp_path), tmp_path / "undisturbed", workers=0).index)
 
 
 def names(folder):
@@ -54,7 +54,7 @@ def names(folder):
 
 
 def test_a_build_is_its_files_and_nothing_else(tmp_path):
-    result = build_dataset(write(tmp_path), tmp_path / "out")
+    result = build_dataset(write(tmp_path), tmp_path / "out", workers=0)
     assert names(tmp_path / "out") == [".lock", INDEX, "shard-00000.nc", "shard-00001.nc", "shard-00002.nc"]
     index = Index.load(tmp_path / "out")
     assert (result.made, result.notes, index) == (3, (), result.index)
@@ -78,7 +78,7 @@ def test_a_shard_made_twice_has_the_same_data(tmp_path):
 
 def test_a_finished_build_makes_nothing(tmp_path, monkeypatch, undisturbed):
     monkeypatch.setattr(module, "make_shard", None)
-    again = build_dataset(tiny(tmp_path), tmp_path / "undisturbed")
+    again = build_dataset(tiny(tmp_path), tmp_path / "undisturbed", workers=0)
     assert (again.made, again.notes, digests(again.index)) == (0, (), undisturbed)
 
 
@@ -118,7 +118,7 @@ def test_a_spoilt_shard_is_made_again_and_the_others_are_kept(tmp_path, undistur
     spoil(folder / shard_name(1), how)
     if not indexed:
         (folder / INDEX).unlink()
-    result = build_dataset(tiny(tmp_path), folder)
+    result = build_dataset(tiny(tmp_path), folder, workers=0)
     assert result.made == 1
     assert len(result.notes) == (indexed or how != "missing")
     assert all(note.startswith("shard-00001.nc: ") for note in result.notes)
@@ -144,7 +144,7 @@ def test_a_build_killed_in_the_middle_goes_on(tmp_path, undisturbed, lost):
         (folder / INDEX).unlink()
     else:
         assert Index.load(folder).shards == {}  # a build writes it every five seconds only
-    made = build_dataset(tiny(tmp_path), folder)
+    made = build_dataset(tiny(tmp_path), folder, workers=0)
     assert made.made == 2
     assert digests(made.index) == undisturbed
     assert [name for name in names(folder) if name.startswith(".shard")] == []
@@ -159,10 +159,10 @@ def test_ctrl_c_keeps_whole_shards(tmp_path, undisturbed, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("mvla_sim.dataset.shard.simulate", trace)
         with pytest.raises(BuildInterruptedError, match=r"stopped; 1 of 3 shards are whole .* same command") as told:
-            build_dataset(tiny(tmp_path), tmp_path / "out")
+            build_dataset(tiny(tmp_path), tmp_path / "out", workers=0)
     assert told.value.exit_code == 130
     assert Index.load(tmp_path / "out").numbers() == [0, 1, 2, 3]
-    result = build_dataset(tiny(tmp_path), tmp_path / "out")
+    result = build_dataset(tiny(tmp_path), tmp_path / "out", workers=0)
     assert (result.made, digests(result.index)) == (2, undisturbed)
 
 
@@ -172,7 +172,7 @@ def test_a_sample_that_raises_is_recorded_and_the_others_go_on(tmp_path, monkeyp
     folder = tmp_path / "out"
     with monkeypatch.context() as patch:
         patch.setattr("mvla_sim.dataset.shard.simulate", failing_simulate(*numbers))
-        result = build_dataset(tiny(tmp_path), folder)
+        result = build_dataset(tiny(tmp_path), folder, workers=0)
     index = Index.load(folder)
     assert index == result.index
     assert [(failure.sample, failure.error) for failure in index.failed] == [
@@ -184,13 +184,13 @@ def test_a_sample_that_raises_is_recorded_and_the_others_go_on(tmp_path, monkeyp
     assert report.ok, report.problems
     assert (report.samples, report.failed) == (10 - len(numbers), len(numbers))
     (folder / INDEX).unlink()
-    assert build_dataset(tiny(tmp_path), folder).index.failed == index.failed  # the shard knows it too
-    again = build_dataset(tiny(tmp_path), folder, retry_failed=True)
+    assert build_dataset(tiny(tmp_path), folder, workers=0).index.failed == index.failed  # the shard knows it too
+    again = build_dataset(tiny(tmp_path), folder, retry_failed=True, workers=0)
     assert (again.made, again.index.failed, digests(again.index)) == (1, (), undisturbed)
 
 
 def test_samples_without_room_fail_alone(tmp_path):
-    result = build_dataset(tiny(tmp_path, "families.1.objects={choices=[1, 9]}"), tmp_path / "out")
+    result = build_dataset(tiny(tmp_path, "families.1.objects={choices=[1, 9]}"), tmp_path / "out", workers=0)
     failed = result.index.failed
     assert 0 < len(failed) < 10
     assert all("no room for 9 objects" in failure.error for failure in failed)
@@ -202,7 +202,7 @@ def test_a_machine_that_cannot_trace_ends_the_build(tmp_path, monkeypatch):
 
     monkeypatch.setattr("mvla_sim.dataset.shard.simulate", unfit)
     with pytest.raises(RuntimeUnfitError, match=r"^no libLLVM$"):
-        build_dataset(tiny(tmp_path), tmp_path / "out")
+        build_dataset(tiny(tmp_path), tmp_path / "out", workers=0)
     assert Index.load(tmp_path / "out").shards == {}
 
 
@@ -225,7 +225,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path, undisturbed):
     assert last.startswith("mvla_sim.errors.OutputError: ")
     assert str(folder / shard_name(0)) in last
     assert names(folder) == [".lock", INDEX]
-    result = build_dataset(tiny(tmp_path), folder)
+    result = build_dataset(tiny(tmp_path), folder, workers=0)
     assert digests(result.index) == undisturbed
 
 
@@ -240,9 +240,9 @@ def test_a_disk_that_fills_up_keeps_what_was_there(tmp_path, undisturbed, monkey
     with monkeypatch.context() as patch:
         patch.setattr(module, "_write", write_until)
         with pytest.raises(OutputError, match="no space left"):
-            build_dataset(tiny(tmp_path), folder)
+            build_dataset(tiny(tmp_path), folder, workers=0)
     assert list(Index.load(folder).shards) == [0]
-    result = build_dataset(tiny(tmp_path), folder)
+    result = build_dataset(tiny(tmp_path), folder, workers=0)
     assert (result.made, digests(result.index)) == (2, undisturbed)
 
 
@@ -256,13 +256,13 @@ def test_a_disk_that_fills_up_keeps_what_was_there(tmp_path, undisturbed, monkey
 )
 def test_a_directory_of_another_campaign_is_refused(tmp_path, undisturbed, change, said):
     with pytest.raises(DataError, match=f"holds a dataset of other settings: {said}") as told:
-        build_dataset(tiny(tmp_path, change), tmp_path / "undisturbed")
+        build_dataset(tiny(tmp_path, change), tmp_path / "undisturbed", workers=0)
     assert "\n" not in str(told.value)
     assert digests(Index.load(tmp_path / "undisturbed")) == undisturbed
 
 
 def test_new_words_about_a_campaign_make_nothing_again(tmp_path, undisturbed):
-    result = build_dataset(tiny(tmp_path, "licence=MIT", "description=new"), tmp_path / "undisturbed")
+    result = build_dataset(tiny(tmp_path, "licence=MIT", "description=new"), tmp_path / "undisturbed", workers=0)
     assert (result.made, Index.load(tmp_path / "undisturbed").campaign.licence) == (0, "MIT")
 
 
@@ -270,30 +270,30 @@ def test_bad_input_is_told_before_work(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "make_shard", None)
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError, match="cannot be written"):
-        build_dataset(tiny(tmp_path), tmp_path / "file")
+        build_dataset(tiny(tmp_path), tmp_path / "file", workers=0)
     with pytest.raises(DataError, match="no such campaign file"):
-        build_dataset(tmp_path / "none.toml", tmp_path / "out")
+        build_dataset(tmp_path / "none.toml", tmp_path / "out", workers=0)
     with pytest.raises(ConfigError, match="workers = -1; at least 0"):
         build_dataset(tiny(tmp_path), tmp_path / "out", workers=-1)
     with pytest.raises(ConfigError, match="family 'boxes': no room for 1 object"):
-        build_dataset(tiny(tmp_path, "families.0.size_m=7", "families.0.objects=1"), tmp_path / "crowded")
+        build_dataset(tiny(tmp_path, "families.0.size_m=7", "families.0.objects=1"), tmp_path / "crowded", workers=0)
     assert not (tmp_path / "crowded").exists()
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / INDEX).write_text("{")
     with pytest.raises(DataError, match="is not readable JSON"):
-        build_dataset(tiny(tmp_path), tmp_path / "broken")
+        build_dataset(tiny(tmp_path), tmp_path / "broken", workers=0)
 
 
 def test_a_second_build_is_refused_at_once(tmp_path):
     with module._locked(tmp_path / "out"), pytest.raises(OutputError, match="another build is at work here"):
-        build_dataset(tiny(tmp_path), tmp_path / "out")
+        build_dataset(tiny(tmp_path), tmp_path / "out", workers=0)
 
 
 def test_a_lock_that_is_a_link_is_not_followed(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / ".lock").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OutputError, match="cannot be written"):
-        build_dataset(tiny(tmp_path), tmp_path / "out")
+        build_dataset(tiny(tmp_path), tmp_path / "out", workers=0)
     assert not (tmp_path / "elsewhere").exists()
 
 
@@ -303,14 +303,14 @@ def test_the_card_tells_what_made_the_shards_what_is_missing_and_twins(tmp_path,
     fixed = ("families.0.size_m=1", "families.0.objects=1", "families.0.x_m=0", "families.0.y_m=0",
              "families.0.rotation_deg=0", "families.0.material=metal", "families.1.weight=1e-9",
              "trajectory.radius_m=5", "trajectory.interval_deg=30")  # fmt: skip
-    index = build_dataset(tiny(tmp_path, *fixed), tmp_path / "out").index
+    index = build_dataset(tiny(tmp_path, *fixed), tmp_path / "out", workers=0).index
     text = card_text(BenchmarkDataset(index))
     assert "mvla-sim 0.0.7 with sionna-rt unknown, mitsuba unknown, drjit 9.9" in text
     assert "But 1 scene was drawn several times, in several splits." in text
     assert "not made yet" not in text
     part = card_text(BenchmarkDataset(Index(index.folder, index.campaign, {0: index.shards[0]})))
     assert "6 of 10 samples are not made yet" in part
-    other = card_text(BenchmarkDataset(build_dataset(tiny(tmp_path), tmp_path / "other").index))
+    other = card_text(BenchmarkDataset(build_dataset(tiny(tmp_path), tmp_path / "other", workers=0).index))
     assert "Splits are by scene, never by view.\n" in other
 
 
@@ -326,7 +326,7 @@ def test_the_occupancy_is_that_of_the_outline_in_the_file(tmp_path, monkeypatch)
 
     monkeypatch.setattr("mvla_sim.dataset.shard.Scene", shifted)
     monkeypatch.setattr("mvla_sim.evaluation.ground_truth.TOUCH", -1e-9)
-    result = build_dataset(campaign, tmp_path / "out")
+    result = build_dataset(campaign, tmp_path / "out", workers=0)
     assert verify(tmp_path / "out", recompute=0).ok
     assert result.made == 1
 
@@ -338,7 +338,7 @@ def test_estimates_come_from_a_probe_and_then_from_stored_shards(tmp_path):
     assert not (tmp_path / "out").exists()
     assert (probe.samples, probe.shards, probe.stored) == (10, 3, 0)
     assert probe.basis == "from a probe: 8 views each of 7 samples"
-    index = build_dataset(campaign, tmp_path / "out").index
+    index = build_dataset(campaign, tmp_path / "out", workers=0).index
     real = sum(entry.bytes for entry in index.shards.values())
     assert probe.bytes / real == pytest.approx(1, abs=0.2)
     (tmp_path / "out" / shard_name(2)).unlink()

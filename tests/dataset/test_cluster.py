@@ -28,7 +28,7 @@ SMALL = ("samples_per_shard=1",)
 @pytest.fixture
 def undisturbed(tmp_path):
     """Checksums of the data of a build in this process."""
-    return digests(build_dataset(tiny(tmp_path, *SMALL), tmp_path / "undisturbed").index)
+    return digests(build_dataset(tiny(tmp_path, *SMALL), tmp_path / "undisturbed", workers=0).index)
 
 
 @pytest.fixture(autouse=True)
@@ -74,7 +74,7 @@ def test_a_worker_killed_in_the_middle_of_a_build_costs_nothing(tmp_path, undist
 def test_the_sample_that_kills_its_workers_fails_alone(tmp_path, monkeypatch):
     """Its shard is made sample by sample; tried again where it does no harm, the dataset is whole."""
     monkeypatch.setattr(dask_module, "MOST_DEATHS", 1)  # a worker takes seconds to come back
-    whole = digests(build_dataset(tiny(tmp_path), tmp_path / "whole").index)
+    whole = digests(build_dataset(tiny(tmp_path), tmp_path / "whole", workers=0).index)
     with monkeypatch.context() as patch:
         patch.setenv(clusters.POISON, "5")
         result = build_dataset(tiny(tmp_path), tmp_path / "out", workers=1)
@@ -82,7 +82,7 @@ def test_the_sample_that_kills_its_workers_fails_alone(tmp_path, monkeypatch):
     assert result.index.numbers() == [0, 1, 2, 3, 4, 6, 7, 8, 9]
     assert digests(result.index)[0::2] == whole[0::2]
     assert result.notes[-1] == "a worker died once while it made sample 5"
-    again = build_dataset(tiny(tmp_path), tmp_path / "out", retry_failed=True)
+    again = build_dataset(tiny(tmp_path), tmp_path / "out", retry_failed=True, workers=0)
     assert (again.made, digests(again.index)) == (1, whole)
 
 
@@ -151,9 +151,9 @@ def test_a_shared_cache_spares_tracing_and_changes_nothing(tmp_path, monkeypatch
 
     monkeypatch.setattr("mvla_sim.dataset.shard.simulate", simulate)
     campaign = tiny(tmp_path, *SMALL, "samples=1", "split.train=1.0", "split.validation=0.0", "split.test=0.0")
-    build_dataset(campaign, tmp_path / "without")
+    build_dataset(campaign, tmp_path / "without", workers=0)
     with shared_cache(f"file://{tmp_path}/shared"):
-        build_dataset(campaign, tmp_path / "with")
+        build_dataset(campaign, tmp_path / "with", workers=0)
         assert verify(tmp_path / "with", recompute=1).ok
     assert traced == [False, True, False]  # a sample made again to be compared never comes from a cache
 
@@ -168,5 +168,5 @@ def test_a_machine_that_cannot_write_or_trace_ends_the_build_at_once(tmp_path, m
 
     monkeypatch.setattr(module, "make_shard", fails)
     with pytest.raises(kind, match=r"^/there: no space$"):
-        build_dataset(tiny(tmp_path, *SMALL), tmp_path / "out")
+        build_dataset(tiny(tmp_path, *SMALL), tmp_path / "out", workers=0)
     assert calls == [0]

@@ -30,7 +30,7 @@ def dataset(tmp_path_factory):
     campaign = tiny(folder, "trajectory.pair_separation_m={choices=[0, 0.3]}")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mvla_sim.dataset.shard.simulate", fake_simulate)
-        build_dataset(campaign, folder / "out")
+        build_dataset(campaign, folder / "out", workers=0)
     return open_dataset(folder / "out", "test")
 
 

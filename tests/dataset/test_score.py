@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import time
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +18,10 @@ from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.dataset import access
 from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.leaderboard import build_leaderboard
-from mvla_sim.dataset.protocol import Attempt, best_thresholds, protocol_settings
+from mvla_sim.dataset.protocol import Attempt, best_thresholds, protocol_settings, score_sample
 from mvla_sim.dataset.score import Result, load_results, score_dataset
+from mvla_sim.engine import provenance as provenance_module
+from mvla_sim.engine.provenance import code_digest
 from mvla_sim.errors import ConfigError, DataError, MvlaError
 from mvla_sim.evaluation.candidates import SUPPORTS_DEG, TOP_PERCENTS, chamfer_table, worst_db
 from mvla_sim.evaluation.ground_truth import TruthGeometry
@@ -40,7 +44,7 @@ def image(seen):  # what is near the origin, at all samples
 @pytest.fixture
 def dataset(tmp_path, fake):
     """Ten scenes traced by formula: 5 for training, 2 for validation, 3 for the test."""
-    build_dataset(tiny(tmp_path), tmp_path / "set")
+    build_dataset(tiny(tmp_path), tmp_path / "set", workers=0)
     return tmp_path / "set"
 
 
@@ -116,6 +120,37 @@ def test_what_is_there_is_not_computed_again(dataset, method, monkeypatch):
     Path(method).write_text(ORACLE + "\n")
     with pytest.raises(MvlaError):
         score_dataset(dataset, [method])
+
+
+def test_scores_are_computed_again_when_the_packages_own_code_changes(dataset, tmp_path, monkeypatch):
+    first = score_dataset(dataset, ["bp"])
+    copy = tmp_path / "mvla_sim"
+    shutil.copytree(Path(mv.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr("mvla_sim.engine.provenance.PACKAGE", copy)
+    monkeypatch.setattr("mvla_sim.dataset.score.code_digest", code_digest.__wrapped__)
+    assert score_dataset(dataset, ["bp"]) == first  # the same code elsewhere
+    with (copy / "cli" / "app.py").open("a") as file:
+        file.write("# no part of any score")
+    assert score_dataset(dataset, ["bp"]) == first
+    with (copy / "imaging" / "projection.py").open("a") as file:
+        file.write("# changed")
+    again = score_dataset(dataset, ["bp"])
+    assert [row["cd_db"] for row in again[0].rows] == [row["cd_db"] for row in first[0].rows]
+    assert again[0].identity != first[0].identity
+
+
+def test_the_time_of_an_image_has_no_git_in_it(dataset, monkeypatch):
+    """Git is asked once a process, and not while a method is timed."""
+    asked = []
+    provenance_module._installation.cache_clear()
+    monkeypatch.setattr(provenance_module, "_git", lambda *command: asked.append(time.sleep(2)) or "")
+    sample = mv.open_dataset(dataset, "test")[0]
+    settings = protocol_settings(mv.open_dataset(dataset).campaign, "bp")
+    attempts = [score_sample(sample, [settings], [None])[0] for _ in range(3)]
+    assert len(asked) <= 2
+    assert all(attempt.seconds < 2 for attempt in attempts[1:])
+    assert attempts[0].seconds - attempts[1].seconds < 2  # the first may have compiled the kernels
+    provenance_module._installation.cache_clear()
 
 
 def test_results_of_another_dataset_or_protocol_are_not_in_the_table(dataset, method, tmp_path):
@@ -242,6 +277,6 @@ def test_a_truncated_shard_is_refused_also_where_results_are_kept(dataset, metho
 
 
 def test_a_dataset_without_validation_cannot_be_scored(tmp_path, fake, capsys):
-    build_dataset(tiny(tmp_path, "split={train = 0.5, validation = 0.0, test = 0.5}"), tmp_path / "set")
+    build_dataset(tiny(tmp_path, "split={train = 0.5, validation = 0.0, test = 0.5}"), tmp_path / "set", workers=0)
     assert run(["dataset", "score", str(tmp_path / "set"), "--method", "bp"]) == 2
     assert "the validation split has no samples" in capsys.readouterr().err

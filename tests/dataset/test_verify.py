@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from campaigns import fake_simulate, tiny
 
+from mvla_sim.channel.simulate import SimulationInterruptedError
 from mvla_sim.dataset.access import open_dataset
 from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.index import INDEX, Index, file_sha256
@@ -26,7 +27,7 @@ def built(tmp_path_factory):
     folder = tmp_path_factory.mktemp("built")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mvla_sim.dataset.shard.simulate", fake_simulate)
-        build_dataset(tiny(folder), folder / "out")
+        build_dataset(tiny(folder), folder / "out", workers=0)
     return folder / "out"
 
 
@@ -59,6 +60,17 @@ def test_a_whole_dataset_passes(built):
     assert report.stray == 0.0
     assert verify(built, recompute=2, seed=1).recomputed != verify(built, recompute=2, seed=2).recomputed
     assert verify(built, recompute=0).recomputed == ()
+
+
+def test_ctrl_c_ends_it(built, monkeypatch):
+    """It is no problem of the sample that was being made again."""
+
+    def stopped(scene, *, cache):
+        raise SimulationInterruptedError("stopped after 3 of 36 views")
+
+    monkeypatch.setattr("mvla_sim.dataset.shard.simulate", stopped)
+    with pytest.raises(SimulationInterruptedError):
+        verify(built, recompute=1)
 
 
 def scaled(name, factor):

@@ -64,6 +64,44 @@ def test_an_unknown_backend_is_refused_before_anything_is_loaded():
     assert ended.stdout.strip().endswith("False")
 
 
+SOLVE = """
+import mvla_sim
+import sionna.rt as rt
+scene = rt.load_scene(rt.scene.box)
+scene.tx_array = scene.rx_array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
+scene.add(rt.Transmitter("tx", position=[0, 0, 1]))
+scene.add(rt.Receiver("rx", position=[1, 0, 1]))
+paths = rt.PathSolver()(scene, max_depth=1, samples_per_src=1000)
+from mvla_sim.engine.backend import activate
+backend = activate()
+print(paths.tau.shape, backend.origin, backend.libllvm)
+"""
+
+
+def test_sionna_imported_after_the_package_works():
+    """Left alone, Dr.Jit takes what the system has; with libLLVM 15 the solver aborts the process."""
+    ended = child(SOLVE, MVLA_BACKEND="llvm")
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.startswith("(1, 1, ")
+    assert ended.stdout.strip().endswith(f"{llvm.choose({}).origin} {llvm.choose({}).path}")
+
+
+@pytest.mark.parametrize(
+    ("before", "variables", "expected"),
+    [
+        ("", {"DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so"}, "/nowhere/libLLVM.so"),  # the user's choice, wrong or not
+        ("sys.modules['drjit'] = sys", {}, "None"),  # too late
+        ("import importlib.metadata; importlib.metadata.files = lambda name: []\n"
+         "import glob, pathlib; pathlib.Path.glob = lambda *a: iter(())\n"
+         "import shutil; shutil.which = lambda *a, **k: None", {}, "None"),  # no library anywhere
+    ],
+)  # fmt: skip
+def test_importing_the_package_sets_what_nobody_has_set(before, variables, expected):
+    program = f"import sys\n{before}\nimport mvla_sim, os\nprint(os.environ.get('DRJIT_LIBLLVM_PATH'))"
+    ended = child(program, **variables)
+    assert (ended.returncode, ended.stdout.strip()) == (0, expected), ended.stderr
+
+
 @pytest.mark.skipif(not OLD.exists(), reason=f"{OLD} is not on this machine")
 def test_dr_jit_imported_earlier_with_an_old_library_is_refused():
     ended = child(
@@ -74,7 +112,7 @@ def test_dr_jit_imported_earlier_with_an_old_library_is_refused():
     )
     assert ended.returncode == 0, ended.stderr
     assert "libLLVM 15" in ended.stdout
-    assert "before drjit" in ended.stdout
+    assert "import mvla_sim before drjit" in ended.stdout
 
 
 def test_dr_jit_imported_earlier_with_a_fit_library_is_accepted():

@@ -1,4 +1,4 @@
-"""``doctor`` in a process of its own, as a user runs it: exit status, and the mend in one line."""
+"""``doctor`` in a process of its own, as a user runs it: exit status, and the remedy in one line."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def test_a_fit_machine_ends_with_zero_and_names_backend_and_versions():
 
 
 @pytest.mark.skipif(not OLD.exists(), reason=f"{OLD} is not on this machine")
-def test_a_library_too_old_is_named_with_its_mend():
+def test_a_library_too_old_is_named_with_its_remedy():
     child = run(DRJIT_LIBLLVM_PATH=str(OLD))
-    assert child.returncode == 1
+    assert child.returncode == 2
     (line,) = unfit_lines(child.stdout)
     assert str(OLD) in line
     assert "unset DRJIT_LIBLLVM_PATH" in line
@@ -60,15 +60,17 @@ def test_a_library_too_old_is_named_with_its_mend():
     ("variables", "words"),
     [
         ({"MVLA_BACKEND": "nonsense"}, ["MVLA_BACKEND", "nonsense", "auto, cuda, llvm"]),
+        ({"MVLA_BACKEND": "cuda"}, ["MVLA_BACKEND = cuda", "no CUDA device", "install NVIDIA's driver or unset"]),
         ({"DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so"}, ["/nowhere/libLLVM.so", "no such file"]),
     ],
 )
 def test_wrong_settings_are_found(variables, words):
     child = run(**variables)
-    assert child.returncode == 1
+    assert child.returncode == 2
     (line,) = unfit_lines(child.stdout)
     assert [word for word in words if word not in line] == []
     assert "Traceback" not in child.stdout + child.stderr
+    assert ("no fit libLLVM" in child.stdout) == (variables.get("MVLA_BACKEND") != "cuda")
 
 
 def test_a_cache_folder_that_cannot_be_made_is_unfit(tmp_path, monkeypatch):
@@ -97,6 +99,11 @@ def test_a_trace_that_hangs_or_fails_is_a_finding():
     assert "exit status 1" in failed
     assert "broken" in failed
     assert "\n" not in failed
+
+
+def test_what_libraries_print_is_passed_over():
+    outcome = smoke("print('{not JSON'); print('[1]'); print('{\"range_m\": 5.0, \"seconds\": 0.1}')")
+    assert outcome.result == "1 ray, 5.000 m as expected, 0.1 s"
 
 
 def test_a_silent_success_is_not_believed():

@@ -109,7 +109,7 @@ def test_what_cannot_be_loaded_is_passed_over(tmp_path):
         ({"DRJIT_LIBLLVM_PATH": "libsomething.so"}, [], ["libsomething.so", "cannot be loaded"]),
     ],
 )
-def test_an_unfit_library_is_refused_in_one_line_with_its_mend(tmp_path, environment, system, words):
+def test_an_unfit_library_is_refused_in_one_line_with_its_remedy(tmp_path, environment, system, words):
     files = [library(tmp_path, name) for name in system]
     with pytest.raises(RuntimeUnfitError) as caught:
         choose(environment, system=files, probe=lambda _path: None)

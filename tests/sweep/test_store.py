@@ -104,7 +104,7 @@ def test_a_damaged_store_is_one_line(tmp_path, damage):
             other.execute("CREATE TABLE cases (a)")
         other.close()
     for attempt in (lambda: fill(tmp_path, []), lambda: Store.peek(tmp_path, ID)):
-        with pytest.raises(DataError, match="--fresh") as raised:
+        with pytest.raises(DataError, match="with a fresh run") as raised:
             attempt()
         assert str(file) in str(raised.value)
         assert "\n" not in str(raised.value)
@@ -133,9 +133,9 @@ def test_cases_of_older_code_are_told(tmp_path, monkeypatch):
     with Store.open(tmp_path, ID) as store:
         assert store.notes == []
     with monkeypatch.context() as patch:
-        patch.setattr(module, "code_digest", lambda: "changed")
+        patch.setattr(module, "code_digest", lambda *parts: "changed")
         with Store.open(tmp_path, ID) as store:
-            assert "--fresh" in store.notes[0]
+            assert "a fresh run computes them anew" in store.notes[0]
     for fresh in (False, True):
         with Store.open(tmp_path, ID, fresh=fresh) as store:
             assert len(store.notes) == 1 - fresh
