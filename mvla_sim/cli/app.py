@@ -12,7 +12,7 @@ from mvla_sim.cli.dataset_commands import dataset_app
 from mvla_sim.cli.image_commands import image_app
 from mvla_sim.cli.machine_commands import machine_app
 from mvla_sim.cli.measured_commands import measured_app
-from mvla_sim.cli.options import note, out
+from mvla_sim.cli.options import note, option_for, out
 from mvla_sim.cli.scene_commands import channel_app, scene_app
 from mvla_sim.cli.sweep_commands import sweep_app
 from mvla_sim.errors import MvlaError
@@ -43,7 +43,7 @@ def run(arguments: list[str]) -> int:
         note(f"error: {error.format_message()}")
         return 2
     except MvlaError as error:
-        note(f"error: {error}")
+        note(f"error: {error}{option_for(error)}")
         return error.exit_code
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 from rich.table import Table
 
-from mvla_sim.cli.options import CacheUrl, Overrides, Scheduler, note, say, show, wrote
+from mvla_sim.cli.options import CacheUrl, Overrides, Scheduler, Workers, note, say, show, wrote
 from mvla_sim.errors import ConfigError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from mvla_sim.dataset.dry_run import Estimate
+    from mvla_sim.dataset.dry_run import BuildForecast
 
 __all__ = ["dataset_app"]
 
@@ -24,7 +24,6 @@ FIRST_ERRORS: Final = 3
 
 dataset_app = typer.Typer(help="Build, check, export and score benchmark datasets.")
 
-FewWorkers = Annotated[int, typer.Option(min=0, help="Worker processes; by default everything runs in this one.")]
 DatasetFolder = Annotated[Path, typer.Argument(metavar="DIR", help="A dataset's directory.")]
 
 
@@ -35,7 +34,7 @@ def dataset_build(
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Directory of the dataset.")],
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say how many samples, bytes and hours; stop.")] = False,
-    workers: FewWorkers = 0,
+    workers: Workers = None,
     scheduler: Scheduler = None,
     cache_url: CacheUrl = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try failed samples again.")] = False,
@@ -51,13 +50,15 @@ def dataset_build(
     from mvla_sim.dataset.campaign import load_campaign
     from mvla_sim.dataset.dry_run import estimate
     from mvla_sim.engine.cache import shared_cache
+    from mvla_sim.engine.machine import core_count
     from mvla_sim.pictures.dataset_pictures import write_card
 
     settings = load_campaign(campaign, overrides or [])
     if dry_run:
-        _show_forecast(estimate(settings, output, workers), len(settings.families), workers)
+        count = core_count() if workers is None else workers
+        _show_forecast(estimate(settings, output, count), len(settings.families), count)
         return
-    with shared_cache(cache_url), open_cluster(_workers(workers, scheduler), scheduler, note) as cluster:
+    with shared_cache(cache_url), open_cluster(workers, scheduler, note) as cluster:
         if cluster.remote:
             cluster.start()  # before the directory is made
         result = build_dataset(settings, output, cluster=cluster, retry_failed=retry_failed)
@@ -135,7 +136,7 @@ def dataset_score(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder of the results; default DIR/scores.")
     ] = None,
-    workers: FewWorkers = 0,
+    workers: Workers = None,
     scheduler: Scheduler = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Compute again what is there.")] = False,
     overrides: Overrides = None,
@@ -146,7 +147,7 @@ def dataset_score(
     from mvla_sim.dataset.leaderboard import build_leaderboard, write_leaderboard
     from mvla_sim.dataset.score import SCORES, score_dataset
 
-    with open_cluster(_workers(workers, scheduler), scheduler, note) as cluster:
+    with open_cluster(workers, scheduler, note) as cluster:
         results = score_dataset(
             folder, method, overrides or [], label=label, output=output, cluster=cluster, fresh=fresh
         )
@@ -166,12 +167,7 @@ def dataset_score(
     raise typer.Exit(int(failed > 0))
 
 
-def _workers(workers: int, scheduler: str | None) -> int | None:
-    """By default no other process; none are asked for where there is a scheduler."""
-    return None if scheduler is not None and workers == 0 else workers
-
-
-def _show_forecast(found: Estimate, families: int, workers: int) -> None:
+def _show_forecast(found: BuildForecast, families: int, workers: int) -> None:
     """Print what a build would take."""
     say(f"samples:  {found.samples} of {families} families")
     each = f"about {_size(found.bytes / found.shards)} each; "

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from mvla_sim.errors import ConfigError
+from mvla_sim.errors import ConfigError, MvlaError
 from mvla_sim.files import check_writable
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "check_output",
     "errors",
     "note",
+    "option_for",
     "out",
     "say",
     "show",
@@ -40,6 +41,9 @@ CacheUrl = Annotated[
     str | None, typer.Option("--cache-url", help="Cache of CIRs that the workers share; default $MVLA_CACHE_URL.")
 ]
 
+OPTIONS = {"output": "-o", "workers": "--workers", "scheduler": "--scheduler", "fresh": "--fresh", "label": "--label"}
+"""Option of each argument of the library that an error may name."""
+
 WIDE = 10_000
 """Columns of what is no terminal: a file or pipe has room for every table."""
 
@@ -47,6 +51,11 @@ WIDE = 10_000
 def say(text: str) -> None:
     """Print a result as it is; brackets in it are no markup."""
     out.print(text, markup=False)
+
+
+def option_for(error: MvlaError) -> str:
+    """The option that helps with an error, in brackets after its message; empty where there is none."""
+    return f" ({OPTIONS[error.setting]})" if error.setting in OPTIONS else ""
 
 
 def note(text: str) -> None:

@@ -171,7 +171,7 @@ def test_a_method_that_fails_on_a_sample_gets_the_worst_for_it(dataset, tmp_path
     test = mv.open_dataset(dataset, "test")
     bad = test.numbers[1]
     file.write_text(ORACLE.replace("# what", f"\n    1 / (seen.settings.noise.seed - {bad})  # what"))
-    assert run(["dataset", "score", str(dataset), "--method", str(file)]) == 1
+    assert run(["dataset", "score", "--workers", "0", str(dataset), "--method", str(file)]) == 1
     text = capsys.readouterr()
     assert f"failed on 1 of 3 test samples, which count as worst; the first, sample {bad}:" in text.err
     assert "ZeroDivisionError" in text.err
@@ -187,7 +187,7 @@ def test_the_readme_example_joins_the_leaderboard(dataset, tmp_path, capsys):
     assert len(blocks[0].strip().splitlines()) <= 15
     (tmp_path / "my_method.py").write_text(blocks[0])
     call = ["dataset", "score", str(dataset), "--method", f"{tmp_path}/my_method.py:image", "--method", "bp"]
-    assert run(call) == 0
+    assert run([*call, "--workers", "0"]) == 0
     text = capsys.readouterr().out
     assert "my_method" in text
     markdown = (dataset / "scores" / "leaderboard.md").read_text()
@@ -196,7 +196,7 @@ def test_the_readme_example_joins_the_leaderboard(dataset, tmp_path, capsys):
 
 
 def test_every_method_is_scored_by_default(dataset):
-    assert run(["dataset", "score", str(dataset)]) == 0
+    assert run(["dataset", "score", "--workers", "0", str(dataset)]) == 0
     results = load_results(mv.open_dataset(dataset, "test"), dataset / "scores")
     assert {result.label for result in results} == set(METHOD_NAMES) - {"bp-coherent"}
 
@@ -255,13 +255,12 @@ def test_one_test_scene_has_no_interval():
         (["--method", "bp", "--set", "mvla.kapa=1"], "kapa"),
         (["--label", "mine"], "names one method, "),
         (["--method", "bp", "--label", "a/b\n"], "allowed: up to 60 letters"),
-        (["--scheduler", "tcp://127.0.0.1:1", "--workers", "2"], "give one of them"),
-        (["--scheduler", "nonsense"], "must be an address with a port"),
+        (["--scheduler", "tcp://127.0.0.1:1"], "give one of them (--scheduler)"),
     ],
 )
 def test_bad_input_is_one_line_before_work(dataset, arguments, message, capsys, monkeypatch):
     monkeypatch.setattr("mvla_sim.dataset.score.score_sample", None)
-    assert run(["dataset", "score", str(dataset), *arguments]) == 2
+    assert run(["dataset", "score", "--workers", "0", str(dataset), *arguments]) == 2
     error = capsys.readouterr().err.strip()
     assert message in error
     assert "\n" not in error
@@ -272,11 +271,11 @@ def test_a_truncated_shard_is_refused_also_where_results_are_kept(dataset, metho
     score_dataset(dataset, [method])
     shard = sorted(dataset.glob("*.nc"))[-1]
     shard.write_bytes(shard.read_bytes()[:-100])
-    assert run(["dataset", "score", str(dataset), "--method", method]) == 2
+    assert run(["dataset", "score", "--workers", "0", str(dataset), "--method", method]) == 2
     assert f"{shard.name}: has " in capsys.readouterr().err
 
 
 def test_a_dataset_without_validation_cannot_be_scored(tmp_path, fake, capsys):
     build_dataset(tiny(tmp_path, "split={train = 0.5, validation = 0.0, test = 0.5}"), tmp_path / "set", workers=0)
-    assert run(["dataset", "score", str(tmp_path / "set"), "--method", "bp"]) == 2
+    assert run(["dataset", "score", "--workers", "0", str(tmp_path / "set"), "--method", "bp"]) == 2
     assert "the validation split has no samples" in capsys.readouterr().err

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -159,27 +158,54 @@ def test_ctrl_c_is_one_line_and_the_next_run_goes_on(tmp_path):
     assert f"{done} of 600 cases" in last
 
 
+KILLED = """
+import os, signal, sys
+from mvla_sim.cli import main
+from mvla_sim.sweep import schedule
+from mvla_sim.sweep.store import Store
+moment, rows, schedule.BATCH_S = sys.argv.pop(1), int(sys.argv.pop(1)), 0.2
+added = 0
+def watched(name):
+    original = getattr(Store, name)
+    def method(self, *arguments):
+        global added
+        result = original(self, *arguments)
+        added += name == "add"
+        if name == moment and added >= rows:
+            os.killpg(0, signal.SIGKILL)
+        return result
+    setattr(Store, name, method)
+for name in ("_prepare", "rows", "add", "flush"):
+    watched(name)
+main()
+"""
+"""``mvla`` that ends itself and its workers, as kill -9 does, after a method of the store, once so many rows are in."""
+MOMENTS = (
+    ("_prepare", 0), ("rows", 0), ("add", 1), ("flush", 10), ("add", 30), ("flush", 1), ("add", 7), ("flush", 40),
+    ("add", 2), ("flush", 25),
+)  # fmt: skip
+"""When the store was made, was read, before a commit, and after one."""
+
+
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # eleven starts
 def test_killed_ten_times_the_tables_are_those_of_an_uninterrupted_run(tmp_path):
-    """kill -9 of the run and its workers at random moments, from its start to the middle of its cases."""
+    """kill -9 of the run and its workers at chosen moments, from its start to the middle of its cases."""
     file, folder = write(tmp_path, MANY), tmp_path / "killed"
     plan = expand(load_experiment(file))
     whole = run_plan(plan, tmp_path / "whole", workers=2).table
-    rng = random.Random(1)
     counts = [0]
-    for attempt in range(10):
-        with start("run", file, "-o", folder, "--workers", 2) as child:
-            if attempt % 2:  # somewhere among its cases, which begin at another time on every machine
-                wait_for(plan, folder, counts[-1] + rng.randint(1, 40), child)
-                time.sleep(rng.uniform(0, 0.3))
-            else:
-                time.sleep(rng.uniform(0, 2))
-            assert child.poll() is None, "it ended before it was killed: give it more cases"
-            os.killpg(child.pid, signal.SIGKILL)
+    for moment, rows in MOMENTS:
+        command = ["run", str(file), "-o", str(folder), "--workers", "2"]
+        killed = [sys.executable, "-c", KILLED, moment, str(rows), *command]
+        child = subprocess.run(killed, capture_output=True, check=False, timeout=240, start_new_session=True)
+        assert child.returncode == -signal.SIGKILL, child.stderr
         counts.append(stored(plan, folder))
+        if moment == "flush":
+            assert counts[-1] >= counts[-2] + rows  # what was committed
     assert counts == sorted(counts)  # nothing that was stored is lost
-    assert 5 <= counts[-1] < len(whole)  # and the runs that got so far did store cases
-    mvla("run", file, "-o", folder, "--workers", 2)
+    assert counts[-1] < len(whole)
+    mvla(*command)
     pd.testing.assert_frame_equal(
         numbers(load_table(folder)), numbers(load_table(tmp_path / "whole")), check_exact=True
     )
