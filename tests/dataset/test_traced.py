@@ -66,6 +66,15 @@ def test_a_traced_dataset_passes_and_is_that_of_the_scenes(built):
         assert (sample.cir.row_size > 0).all()
 
 
+def test_the_number_of_workers_changes_no_number(built):
+    """``mvla dataset build`` takes a worker a core by default; traced in this process, all data are the same."""
+    here = build_dataset(load_campaign(built / "tiny.toml", SMALL), built / "here", workers=0).index
+    there = open_dataset(built / "out").index
+    assert [shard.data_sha256 for shard in here.shards.values()] == [
+        shard.data_sha256 for shard in there.shards.values()
+    ]
+
+
 def test_a_worker_killed_in_the_middle_costs_nothing(built, monkeypatch):
     """kill -9 as soon as the first shard is written; its successor is made by the next worker."""
     original, killed = module._write, []
