@@ -280,7 +280,7 @@ def _tracing(runs: int) -> Iterator[Ratio]:
 def _star(views: int, diffuse_rays: int = DEFAULT_RAYS[0]) -> Scene:
     settings = scene_settings("star", views, sum(DEFAULT_RAYS))
     tracing = settings.ray_tracing.model_copy(update={"diffuse_rays": diffuse_rays})
-    return Scene.from_settings(settings.model_copy(update={"ray_tracing": tracing}))
+    return Scene(settings.model_copy(update={"ray_tracing": tracing}))
 
 
 def _plain(tracer: ViewTracer, positions: NDArray[np.float64], rays: int) -> tuple[float, float]:
