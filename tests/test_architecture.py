@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 import subprocess
 import sys
 from graphlib import TopologicalSorter
@@ -148,3 +149,17 @@ def test_figures_compute_nothing(name):
     allowed = {"title_of", "score_label_of", "exposed_faces", "atomic_output"}
     assert {full for full in functions if not full.startswith("mvla_sim.plot.")
             and full.rpartition(".")[2] not in allowed} == set()  # fmt: skip
+
+
+FRONT_END = ("settings.py", "channel/readers/")
+"""Rooms whose messages still name options, ``settings`` for those that ``--set`` itself gives."""
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if not name.startswith(("cli/", *FRONT_END))])
+def test_messages_name_settings_and_no_options(name):
+    """The command line adds its own hints; who calls a function from a notebook has no options."""
+    for node in ast.walk(parse(ROOT / name)):
+        if isinstance(node, ast.Raise) and node.exc is not None:
+            texts = [part.value for part in ast.walk(node.exc) if isinstance(part, ast.Constant)]
+            options = [text for text in texts if isinstance(text, str) and re.search(r"(^|\s)--?[a-z]", text)]
+            assert options == []

@@ -118,7 +118,7 @@ def check_stages(stages: Sequence[str]) -> None:
     """Refuse stages of which there are no ratios. Raises as :func:`measure_ratios`."""
     for stage in stages:
         if stage not in RATIOS:
-            raise ConfigError(f"--stage {stage}: no ratios of it; allowed: {', '.join(RATIOS)}")
+            raise ConfigError(f"stage = {stage}: no ratios of it; allowed: {', '.join(RATIOS)}")
 
 
 @contextlib.contextmanager

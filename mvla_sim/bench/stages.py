@@ -118,7 +118,7 @@ def series_of(stage: str, *, quick: bool = False) -> tuple[Series, ...]:
     """
     makers = {"tracing": _tracing, "projection": _projection, "search": _search, "sweep": _sweep}
     if stage not in makers:
-        raise ConfigError(f"--stage {stage}: no such stage; allowed: {', '.join(STAGES)}")
+        raise ConfigError(f"stage = {stage}: no such stage; allowed: {', '.join(STAGES)}")
     return makers[stage](quick)
 
 

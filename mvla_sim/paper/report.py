@@ -63,7 +63,7 @@ def write_report(folder: Path) -> Path:
              ("kappa-eta", "star-optimal", "star-calibrated", "sensitivity-star", "sensitivity-map")}  # fmt: skip
     beyond = sections_beyond(folder)
     if all(table is None for table in found.values()) and not beyond:
-        raise DataError(f"{folder}: holds no table of an experiment; run mvla reproduce first")
+        raise DataError(f"{folder}: holds no table of an experiment; reproduce the paper first")
     checks = _json(folder / "checks.json")
     vehicle = _json(folder / VEHICLE / RESULT)
     if vehicle:

@@ -50,7 +50,7 @@ def draw(files: Sequence[Path], output: Path, overrides: Sequence[str]) -> None:
     elif channels:
         raise DataError(f"{channels[0]}: give one CIR or other channel file alone, or image files only")
     elif overrides:
-        raise ConfigError(f"--set {overrides[0]}: an image is drawn as it is; settings go to mvla image")
+        raise ConfigError(f"{overrides[0]}: an image is drawn as it is; settings are those that it is made with")
     else:
         draw_images(files, output)
 

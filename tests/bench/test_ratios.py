@@ -61,7 +61,7 @@ def test_parts_of_a_sweep_and_the_rest_are_the_whole(monkeypatch):
 
 def test_an_unknown_stage_is_one_line(tmp_path, capsys):
     with pytest.raises(
-        ConfigError, match=r"^--stage search: no ratios of it; allowed: projection, methods, tracing, s"
+        ConfigError, match=r"^stage = search: no ratios of it; allowed: projection, methods, tracing, s"
     ):
         next(measure_ratios(["search"]))
     assert mvla(["bench", "--ratios", "--stage", "search", "-o", str(tmp_path / "new")]) == 2

@@ -37,7 +37,7 @@ def test_full_measures_what_is_asked_for():
 
 
 def test_an_unknown_stage_is_one_line():
-    with pytest.raises(ConfigError, match=r"^--stage imaging: no such stage; allowed: tracing, projection, search, sw"):
+    with pytest.raises(ConfigError, match=r"^stage = imaging: no such stage; allowed: tracing, projection, search, sw"):
         points_of(["imaging"])
 
 
