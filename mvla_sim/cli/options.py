@@ -41,7 +41,14 @@ CacheUrl = Annotated[
     str | None, typer.Option("--cache-url", help="Cache of CIRs that the workers share; default $MVLA_CACHE_URL.")
 ]
 
-OPTIONS = {"output": "-o", "workers": "--workers", "scheduler": "--scheduler", "fresh": "--fresh", "label": "--label"}
+OPTIONS = {
+    "output": "-o",
+    "workers": "--workers",
+    "scheduler": "--scheduler",
+    "fresh": "--fresh",
+    "label": "--label",
+    "limit": "--yes",
+}
 """Option of each argument of the library that an error may name."""
 
 WIDE = 10_000

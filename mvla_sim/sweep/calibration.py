@@ -95,7 +95,7 @@ def _map(key: str, maps: Mapping[str, str]) -> NDArray[np.float64]:
     try:
         return unpack_table(maps[key])
     except DataError as error:
-        raise DataError(f"calibration: {MAPS}, case {key[:12]}: {error}; run that experiment with --fresh") from error
+        raise DataError(f"calibration: {MAPS}, case {key[:12]}: {error}; run that experiment afresh") from error
 
 
 def _mean(tables: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

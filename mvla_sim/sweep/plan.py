@@ -109,7 +109,8 @@ def _expand_variants(experiment: ExperimentSettings, folder: Path | None, limit:
 def _check_limit(experiment: ExperimentSettings, count: int, more: str, limit: int | None) -> None:
     if limit is not None and count > limit:
         raise ConfigError(
-            f"experiment {experiment.name}: {more}{count:,} cases; above {limit:,} say --yes, or shorten the axes"
+            f"experiment {experiment.name}: {more}{count:,} cases; above {limit:,} shorten the axes, or lift the limit",
+            setting="limit",
         )
 
 

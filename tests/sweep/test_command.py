@@ -66,7 +66,7 @@ def test_dry_run_tells_and_does_nothing(tmp_path):
 def test_too_many_cases_need_a_yes(tmp_path):
     file = write(tmp_path, f"seed = {list(range(20_001))}\n")
     text = mvla("run", file, "-o", tmp_path / "out", expected=2)
-    assert "20,001 cases; above 20,000 say --yes" in text
+    assert "20,001 cases; above 20,000 shorten the axes, or lift the limit (--yes)" in text
     assert not (tmp_path / "out").exists()
     assert "20001; 0 stored" in mvla("run", file, "-o", tmp_path / "out", "--dry-run", "--yes")
 

@@ -91,7 +91,7 @@ def test_views_that_are_not_evenly_spaced_have_no_offsets(tmp_path):
 def test_the_limit_counts_offsets_and_can_be_lifted(tmp_path):
     settings = experiment(tmp_path, 'interval_deg = [10.0, 60.0]\noffset = "all"\nseed = [0, 1, 2]\n')
     assert len(expand(settings, limit=21).cases) == 21
-    with pytest.raises(ConfigError, match=r"21 cases; above 20 say --yes"):
+    with pytest.raises(ConfigError, match=r"21 cases; above 20 shorten the axes"):
         expand(settings, limit=20)
     with pytest.raises(ConfigError, match=r"at least 6 cases"):
         expand(settings, limit=3)
