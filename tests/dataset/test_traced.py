@@ -145,7 +145,7 @@ def test_commands(copy, built, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("build", "none.toml", "-o", "new"), "none.toml: no such campaign file"),
+        (("build", "none.toml", "-o", "new"), "none.toml: no such file"),
         (("build", "tiny.toml", "-o", "new", "--set", "sample=1"), "unknown key"),
         (("build", "tiny.toml", "-o", "new", "--workers", "2", "--scheduler", "tcp://x:1"), "give one of them"),
         (("build", "tiny.toml", "-o", "out"), "holds a dataset of other settings: samples = 2 there, 10 here"),

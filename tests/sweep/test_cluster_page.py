@@ -1,8 +1,8 @@
-"""``experiments/clusters/``: SLURM's set-up makes the job script it should, Kubernetes' starts what Dask knows."""
+"""``docs/clusters.md``: SLURM's set-up makes the job script it should, Kubernetes' starts what Dask knows."""
 
 from __future__ import annotations
 
-import importlib.util
+import re
 from pathlib import Path
 
 import dask
@@ -11,16 +11,22 @@ import pytest
 import yaml
 from distributed.cli import dask_scheduler, dask_worker
 
-CLUSTERS = Path(__file__).parents[2] / "experiments" / "clusters"
+PAGE = Path(__file__).parents[2] / "docs" / "clusters.md"
+
+
+def block(language):
+    """The one code block of a language on the page."""
+    (text,) = re.findall(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    return text
 
 
 def test_slurm_jobs_hold_one_single_threaded_worker_a_core():
-    spec = importlib.util.spec_from_file_location("slurm", CLUSTERS / "slurm.py")
-    slurm = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(slurm)
+    slurm = {"__name__": "slurm"}
+    exec(compile(block("python"), "slurm.py", "exec"), slurm)
+    assert callable(slurm["main"])
     known = dask.config.get("jobqueue.slurm")
-    assert {name.replace("_", "-") for name in slurm.OPTIONS} <= set(known)
-    options = slurm.OPTIONS | {"interface": "lo"}  # this machine has no InfiniBand
+    assert {name.replace("_", "-") for name in slurm["OPTIONS"]} <= set(known)
+    options = slurm["OPTIONS"] | {"interface": "lo"}  # this machine has no InfiniBand
     with dask_jobqueue.SLURMCluster(**options, scheduler_options={"dashboard_address": "127.0.0.1:0"}) as cluster:
         script = cluster.job_script()
     for line in ("#SBATCH -p compute", "#SBATCH -A my-project", "#SBATCH --cpus-per-task=32", "#SBATCH -t 08:00:00"):
@@ -32,7 +38,7 @@ def test_slurm_jobs_hold_one_single_threaded_worker_a_core():
 
 
 def kubernetes():
-    return yaml.safe_load((CLUSTERS / "kubernetes.yaml").read_text())
+    return yaml.safe_load(block("yaml"))
 
 
 @pytest.mark.parametrize(("role", "command"), [("worker", dask_worker.main), ("scheduler", dask_scheduler.main)])
