@@ -38,9 +38,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mvla_sim.channel.cir import Cir
     from mvla_sim.channel.components import Components
+    from mvla_sim.channel.importing import import_channel, import_settings
     from mvla_sim.channel.loading import load_channel
-    from mvla_sim.channel.readers.import_settings import import_settings
-    from mvla_sim.channel.readers.importing import import_channel
     from mvla_sim.channel.response import FrequencyResponse
     from mvla_sim.channel.simulate import simulate
     from mvla_sim.channel.synthesis import synthesize, write_sweeps
@@ -136,8 +135,8 @@ _HOMES = {
     "evaluate": "evaluation.evaluate",
     "export_image": "imaging.volumes",
     "imaging_settings": "imaging.imaging_settings",
-    "import_channel": "channel.readers.importing",
-    "import_settings": "channel.readers.import_settings",
+    "import_channel": "channel.importing",
+    "import_settings": "channel.importing",
     "list_settings": "listing",
     "load_channel": "channel.loading",
     "load_process": "measured.process",

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from mvla_sim.channel.readers.import_settings import ImportSettings
+from mvla_sim.channel.importing import ImportSettings
 from mvla_sim.channel.synthesis import SynthesisSettings
 from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.distributions import Drawn

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 from scipy.fft import next_fast_len
 from scipy.optimize import minimize_scalar
 
-from mvla_sim.channel.readers.import_settings import Gate, ReferenceSettings
 from mvla_sim.constants import SPEED_OF_LIGHT, range_to_delay
 from mvla_sim.dsp import Window, range_profiles
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.settings import Settings
 
 __all__ = [
+    "BackgroundSettings",
+    "Gate",
     "ReferenceCalibration",
+    "ReferenceSettings",
     "Subtraction",
     "calibrate",
     "echo_gain",
@@ -29,6 +33,52 @@ OVERSAMPLING: Final = 4
 HANN: Final = Window("hann")
 STANDS_OUT_DB: Final = 15.0
 """Least level of the reference's echo over the median of all ranges; noise alone reaches it once in millions."""
+
+
+Gate = tuple[NonNegativeFloat, PositiveFloat]
+
+
+def _refuse_empty(name: str, gate: Gate | None) -> None:
+    if gate is not None and gate[0] >= gate[1]:
+        raise ValueError(f"{name} = {list(gate)} must be [near, far] with near below far")
+
+
+class BackgroundSettings(Settings):
+    """A sweep without the target, subtracted from every view.
+
+    Oscillators drift between sweeps. ``align_m`` is a range interval that holds only what the target cannot change,
+    such as the leakage from antenna to antenna: the background is turned to each view's phase there.
+    """
+
+    file: str
+    align_m: Gate | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> BackgroundSettings:
+        _refuse_empty("align_m", self.align_m)
+        return self
+
+
+class ReferenceSettings(Settings):
+    """A sweep of a target of known range and echo: it fixes the zero of the range axis and the level.
+
+    Levels become path gains between isotropic antennas: λ/(8πR) of a large flat plate at right angles, λ·a/(8πR(R + a))
+    of a sphere of radius a, R to the nearest point of its surface; that is the radar equation where R is much larger.
+    """
+
+    file: str
+    kind: Literal["sphere", "plate"]
+    range_m: PositiveFloat = Field(description="from the middle of the antennas to the nearest point of the target")
+    radius_m: PositiveFloat | None = Field(None, description="of the sphere")
+    background: str | None = Field(None, description="sweep without the reference; by default background.file")
+    gate_m: Gate | None = Field(None, description="measured ranges its echo is looked for in; by default all")
+
+    @model_validator(mode="after")
+    def _check(self) -> ReferenceSettings:
+        _refuse_empty("gate_m", self.gate_m)
+        if (self.kind == "sphere") != (self.radius_m is not None):
+            raise ValueError(f"radius_m = {self.radius_m}: a sphere needs it, a plate has none")
+        return self
 
 
 class Subtraction(NamedTuple):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.channel.readers.touchstone import write_touchstone
+from mvla_sim.channel.readers.touchstone_files import write_touchstone
 from mvla_sim.channel.references import echo_gain
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.constants import range_to_delay

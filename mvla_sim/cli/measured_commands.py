@@ -37,8 +37,7 @@ def import_data(
     overrides: Overrides = None,
 ) -> None:
     """Read measured data, or another program's paths, into a channel file (NetCDF-4) that mvla image takes."""
-    from mvla_sim.channel.readers.import_settings import import_settings
-    from mvla_sim.channel.readers.importing import import_channel
+    from mvla_sim.channel.importing import import_channel, import_settings
 
     check_output(output, ".nc")
     if source.suffix.lower() == ".toml" and settings is None:

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from mvla_sim.channel.importing import ImportSettings, import_channel, resolve_files
 from mvla_sim.channel.loading import Channel
-from mvla_sim.channel.readers.import_settings import ImportSettings, resolve_files
-from mvla_sim.channel.readers.importing import import_channel
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.channel.synthesis import SynthesisSettings, synthesize, write_sweeps
 from mvla_sim.errors import OutputError

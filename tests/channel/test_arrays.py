@@ -21,7 +21,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mvla_sim.channel.readers import array_files
-from mvla_sim.channel.readers.arrays import ArrayData, ArrayFile, read_array_file, read_responses
+from mvla_sim.channel.readers.array_files import ArrayFile, read_array_file
+from mvla_sim.channel.readers.arrays import ArrayData, ArrayReader, read_responses
 from mvla_sim.errors import ConfigError, DataError
 
 N_VIEW, N_AXIS = 4, 6
@@ -117,11 +118,11 @@ def one_line(file, call, *args, **options):
 
 
 def refused(file, **changes):
-    return one_line(file, read_responses, **({"data": "h", "axis": "f", "axis_kind": "frequency"} | changes))
+    return one_line(file, read_responses, ArrayReader(**({"data": "h", "axis": "f"} | changes)))
 
 
 def read(file, **changes):
-    return read_responses(file, **({"data": "h", "axis": "f", "axis_kind": "frequency"} | changes))
+    return read_responses(file, ArrayReader(**({"data": "h", "axis": "f"} | changes)))
 
 
 # ----------------------------------------------------------------------------------------------------- every format

@@ -10,8 +10,8 @@ import skrf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.channel.readers.import_settings import ReferenceSettings
 from mvla_sim.channel.references import (
+    ReferenceSettings,
     calibrate,
     echo_gain,
     find_peak,

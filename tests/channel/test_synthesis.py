@@ -10,9 +10,16 @@ from channel_scenes import random_cir, ring_views
 from skrf.io.touchstone import Touchstone
 
 from mvla_sim.channel.cir import Cir
-from mvla_sim.channel.readers.import_settings import BackgroundSettings, ReferenceSettings, SweepSettings
-from mvla_sim.channel.readers.touchstone import read_folder, read_touchstone
-from mvla_sim.channel.references import calibrate, echo_gain, find_peak, subtract_background
+from mvla_sim.channel.readers.touchstone import TouchstoneFolder, read_folder
+from mvla_sim.channel.readers.touchstone_files import read_touchstone
+from mvla_sim.channel.references import (
+    BackgroundSettings,
+    ReferenceSettings,
+    calibrate,
+    echo_gain,
+    find_peak,
+    subtract_background,
+)
 from mvla_sim.channel.synthesis import EchoSettings, SynthesisSettings, synthesize, write_sweeps
 from mvla_sim.constants import delay_to_range, range_to_delay
 from mvla_sim.errors import ConfigError, DataError, OutputError
@@ -196,7 +203,7 @@ def test_files_hold_the_sweeps_exactly(tmp_path):
 def test_names_say_the_whole_angle(tmp_path, angles, names):
     campaign = synthesize(point_cir(views=3), chosen(points=201))
     assert [file.name for file in write_sweeps(campaign, tmp_path, "x", angles)] == [*names, "background.s2p"]
-    read = read_folder(SweepSettings(background=BackgroundSettings(file=str(tmp_path / "background.s2p"))), tmp_path)
+    read = read_folder(TouchstoneFolder(background=BackgroundSettings(file=str(tmp_path / "background.s2p"))), tmp_path)
     np.testing.assert_allclose(read.angles_deg, angles, atol=1e-6)
 
 
@@ -240,7 +247,7 @@ def test_a_campaign_leads_back_to_the_channel(tmp_path, seed):
         ),
     )  # fmt: skip
     write_sweeps(campaign, tmp_path, "car", cir.views.angles_deg)
-    sweeps = SweepSettings(
+    sweeps = TouchstoneFolder(
         background=BackgroundSettings(file=str(tmp_path / "background.s2p"), align_m=(3.5, 4.1)),
         reference=ReferenceSettings(
             file=str(tmp_path / "reference.s2p"), kind="sphere", range_m=4.0, radius_m=0.15, gate_m=(7.0, 8.0)

@@ -12,9 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skrf.io.touchstone import Touchstone
 
-from mvla_sim.channel.readers import touchstone
-from mvla_sim.channel.readers.import_settings import BackgroundSettings, ReferenceSettings, SweepSettings
-from mvla_sim.channel.readers.touchstone import missing_angles, read_folder, read_touchstone, write_touchstone
+from mvla_sim.channel.readers import touchstone_files
+from mvla_sim.channel.readers.angles import missing_angles
+from mvla_sim.channel.readers.touchstone import TouchstoneFolder, read_folder
+from mvla_sim.channel.readers.touchstone_files import read_touchstone, write_touchstone
+from mvla_sim.channel.references import BackgroundSettings, ReferenceSettings
 from mvla_sim.errors import ConfigError, DataError, OutputError
 
 START, STEP, COUNT = 34.5e9, 30e6, 101
@@ -222,7 +224,7 @@ def test_long_comments_take_no_time(tmp_path):
 
 
 def test_too_large_a_file_is_not_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(touchstone, "LARGEST_FILE", 1000)
+    monkeypatch.setattr(touchstone_files, "LARGEST_FILE", 1000)
     refused(tmp_path / "a.s1p", OPTION + rows(FREQUENCY), "is not read")
 
 
@@ -306,7 +308,7 @@ def test_views_are_sorted_by_the_angle_in_their_names(tmp_path):
     (tmp_path / ".car_7.s2p").write_text("hidden")
     (tmp_path / "sub").mkdir()
     fill(tmp_path / "sub", ["car_200deg.s2p"])
-    read = read_folder(SweepSettings(), tmp_path)
+    read = read_folder(TouchstoneFolder(), tmp_path)
     assert read.angles_deg.tolist() == [-5, 3, 20.5, 100]
     assert read.files[0].name == "car_-5.0deg.s2p"
     np.testing.assert_array_equal(read.response[:, 0], [2 + 1j, 3 + 1j, 1 + 1j, 1j])
@@ -331,7 +333,7 @@ def test_views_are_sorted_by_the_angle_in_their_names(tmp_path):
 )
 def test_angle_patterns(tmp_path, name, pattern, angle):
     fill(tmp_path, [name])
-    assert read_folder(SweepSettings(angle_pattern=pattern), tmp_path).angles_deg.tolist() == [angle]
+    assert read_folder(TouchstoneFolder(angle_pattern=pattern), tmp_path).angles_deg.tolist() == [angle]
 
 
 def folder_refused(settings, folder, match):
@@ -354,19 +356,19 @@ def folder_refused(settings, folder, match):
 )
 def test_names_without_one_angle_each_are_refused(tmp_path, names, match):
     fill(tmp_path, names)
-    folder_refused(SweepSettings(), tmp_path, match)
+    folder_refused(TouchstoneFolder(), tmp_path, match)
 
 
 @pytest.mark.parametrize("pattern", [None, "car", "{angle}{angle}", ""])
 def test_patterns_without_one_place_for_the_angle_are_refused(tmp_path, pattern):
     fill(tmp_path, ["1.s2p"])
-    folder_refused(SweepSettings(angle_pattern=pattern), tmp_path, r"must hold \{angle\} once, or give")
+    folder_refused(TouchstoneFolder(angle_pattern=pattern), tmp_path, r"must hold \{angle\} once, or give")
 
 
 def test_angles_of_a_file(tmp_path):
     fill(tmp_path, ["a.s2p", "b.s2p"])
     table = tmp_path / "angles.csv"
-    chosen = SweepSettings(angle_file=str(table))
+    chosen = TouchstoneFolder(angle_file=str(table))
     table.write_text("file,angle_deg\na.s2p,30\nb.s2p,-20.25\n")
     read = read_folder(chosen, tmp_path)
     assert [file.name for file in read.files] == ["b.s2p", "a.s2p"]
@@ -388,7 +390,7 @@ def test_background_and_reference_are_no_views(tmp_path, monkeypatch):
     reference = ReferenceSettings(file=str(tmp_path / "sphere3.s2p"), kind="plate", range_m=5,
                                   background=str(tmp_path / "." / "empty2.s2p"))  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    chosen = SweepSettings(background=BackgroundSettings(file="empty1.s2p"), reference=reference)
+    chosen = TouchstoneFolder(background=BackgroundSettings(file="empty1.s2p"), reference=reference)
     assert read_folder(chosen, tmp_path).angles_deg.tolist() == [10, 20]
     for name in ("10.s2p", "20.s2p"):
         (tmp_path / name).unlink()
@@ -406,20 +408,20 @@ def test_background_and_reference_are_no_views(tmp_path, monkeypatch):
 def test_mixed_frequency_axes_are_refused(tmp_path, change, match):
     fill(tmp_path, ["10.s2p"])
     fill(tmp_path, ["20.s2p"], **change)
-    folder_refused(SweepSettings(), tmp_path, match)
+    folder_refused(TouchstoneFolder(), tmp_path, match)
 
 
 def test_folders_without_views_are_refused(tmp_path):
-    folder_refused(SweepSettings(), tmp_path, "no file matches sweeps.files = .*; the folder holds no file")
+    folder_refused(TouchstoneFolder(), tmp_path, "no file matches sweeps.files = .*; the folder holds no file")
     for number in range(5):
         (tmp_path / f"{number}.txt").write_text("x")
-    folder_refused(SweepSettings(), tmp_path, "holds 5 files: 0.txt, 1.txt, 2.txt, …")
-    folder_refused(SweepSettings(), tmp_path / "none", "no such folder")
-    folder_refused(SweepSettings(), tmp_path / "0.txt", "is no folder")
+    folder_refused(TouchstoneFolder(), tmp_path, "holds 5 files: 0.txt, 1.txt, 2.txt, …")
+    folder_refused(TouchstoneFolder(), tmp_path / "none", "no such folder")
+    folder_refused(TouchstoneFolder(), tmp_path / "0.txt", "is no folder")
     fill(tmp_path, ["1.s2p"])
     (tmp_path / "sub").mkdir()
     for outside in ("../*.s2p", str(tmp_path / "*.s2p"), "sub/../*.s2p", "..\\*.s2p"):
-        folder_refused(SweepSettings(files=outside), tmp_path / "sub", "a pattern of names in the folder")
+        folder_refused(TouchstoneFolder(files=outside), tmp_path / "sub", "a pattern of names in the folder")
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,8 @@ import shapely
 from campaigns import count_paths, fake_simulate, tiny
 from scipy.io import loadmat
 
+from mvla_sim.channel.importing import import_channel, import_settings
 from mvla_sim.channel.readers.deepmimo import read_deepmimo
-from mvla_sim.channel.readers.import_settings import import_settings
-from mvla_sim.channel.readers.importing import import_channel
 from mvla_sim.channel.readers.pairs import select_pairs
 from mvla_sim.dataset import exports as module
 from mvla_sim.dataset.access import open_dataset

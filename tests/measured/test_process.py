@@ -12,7 +12,7 @@ import scipy.io
 import trimesh
 
 import mvla_sim as mv
-from mvla_sim.channel.readers.touchstone import write_touchstone
+from mvla_sim.channel.readers.touchstone_files import write_touchstone
 from mvla_sim.cli.app import run
 from mvla_sim.constants import SPEED_OF_LIGHT, range_to_delay
 from mvla_sim.grid import VoxelGrid

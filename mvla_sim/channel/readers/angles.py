@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mvla_sim.channel.readers.import_settings import SweepSettings
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.scene.columns import read_columns
 
@@ -22,7 +21,7 @@ ANGLE_TOLERANCE_DEG: Final = 1e-6
 _NUMBER = r"\d+(?:\.\d+)?(?![\d.]*\d)"
 
 
-def angles_of_files(settings: SweepSettings, files: Sequence[Path]) -> NDArray[np.float64]:
+def angles_of_files(files: Sequence[Path], pattern: str | None, angle_file: str | None) -> NDArray[np.float64]:
     """Angle of each file by its name or by the angle file, ``[n_file]`` degrees.
 
     Raises
@@ -34,12 +33,12 @@ def angles_of_files(settings: SweepSettings, files: Sequence[Path]) -> NDArray[n
 
     Notes
     -----
-    In ``angle_pattern`` ``{angle}`` is a decimal number with or without a sign, all else is literal. It is searched
+    In ``pattern`` ``{angle}`` is a decimal number with or without a sign, all else is literal. It is searched
     for anywhere in the name without its suffix (a pattern may end in the suffix) and must fit in one place only.
     A sign right after a letter or digit is a hyphen (``car-10``), unless the pattern has text there (``car{angle}``).
     ``angle_file`` wins over the pattern.
     """
-    angles = np.array(_angles(settings, files), np.float64)
+    angles = np.array(_angles(files, pattern, angle_file), np.float64)
     _refuse_equal(angles, files)
     return angles
 
@@ -69,10 +68,9 @@ def missing_angles(angles_deg: NDArray[np.float64]) -> list[float]:
     return [float(np.round(angle % 360, 6)) for angle in lacking]
 
 
-def _angles(settings: SweepSettings, files: Sequence[Path]) -> list[float]:
-    if settings.angle_file is not None:
-        return _listed_angles(settings.angle_file, files)
-    pattern = settings.angle_pattern
+def _angles(files: Sequence[Path], pattern: str | None, angle_file: str | None) -> list[float]:
+    if angle_file is not None:
+        return _listed_angles(angle_file, files)
     if pattern is None or pattern.count("{angle}") != 1:
         raise ConfigError(f"sweeps.angle_pattern = {pattern!r}: must hold {{angle}} once, or give sweeps.angle_file")
     return [_angle_in_name(file, pattern) for file in files]

@@ -38,7 +38,10 @@ from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import existing_file
 from mvla_sim.memory import USABLE, check_memory
 
-__all__ = ["ArrayEntry", "ArrayFile", "read_array_file", "shown"]
+__all__ = ["SUFFIXES", "ArrayEntry", "ArrayFile", "read_array_file", "shown"]
+
+SUFFIXES: Final = (".mat", ".npz", ".h5", ".hdf5", ".nc")
+"""Of files that are read."""
 
 _PATIENCE_S: Final = 30.0  # for any file, and a second more for each of the following
 _BYTES_A_SECOND: Final = 20e6
@@ -146,8 +149,8 @@ def read_array_file(file: str | os.PathLike[str], ahead: Sequence[str] = ()) -> 
 
 def _read(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
     suffix = file.suffix.lower()
-    if suffix not in (".mat", ".npz", ".h5", ".hdf5", ".nc"):
-        raise DataError(f"{file}: unknown suffix '{file.suffix}'; allowed: .mat, .npz, .h5, .hdf5, .nc")
+    if suffix not in SUFFIXES:
+        raise DataError(f"{file}: unknown suffix '{file.suffix}'; allowed: {', '.join(SUFFIXES)}")
     try:
         if suffix != ".npz":
             return _read_apart(file, wanted)

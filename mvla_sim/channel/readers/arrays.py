@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from pathlib import Path
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, PositiveFloat
 
-from mvla_sim.channel.readers.array_files import ArrayFile, read_array_file, shown
+from mvla_sim.channel.readers.array_files import SUFFIXES, ArrayFile, read_array_file, shown
+from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader
+from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.errors import ConfigError, DataError
 
-__all__ = ["ArrayData", "ArrayFile", "read_array_file", "read_responses"]
+__all__ = ["ArrayData", "ArrayReader", "read_responses"]
 
 UNEVENNESS: Final = 1e-4
 """How far a value of an axis may be from where even steps put it, in steps."""
@@ -44,57 +47,57 @@ class ArrayData:
     receivers_m: NDArray[np.float64] | None = None
 
 
-def read_responses(
-    file: str | os.PathLike[str],
-    *,
-    data: str,
-    axis: str,
-    axis_kind: Literal["frequency", "delay"],
-    data_imag: str | None = None,
-    axis_unit: float = 1.0,
-    angles: str | None = None,
-    positions: str | None = None,
-    receivers: str | None = None,
-) -> ArrayData:
-    """Read frequency responses or impulse responses of every view.
+class ArrayReader(Reader):
+    """Named arrays in a .mat, .npz, HDF5 or NetCDF file.
 
-    Parameters
-    ----------
-    file
-        A file as :func:`read_array_file` takes it.
-    data, data_imag
-        Name of the response, complex or with its imaginary part apart. Which of its two axes is the view is told by the
-        lengths of the others; where both fit it is the first. A single view may have one axis.
-    axis
-        Name of the frequencies or delays.
-    axis_kind
-        Which of the two they are.
-    axis_unit
-        Hertz or seconds in a unit of the axis, 1e9 for gigahertz.
-    angles
-        Name of the angles, ``[n_view]`` degrees.
-    positions, receivers
-        Names of positions, ``[n_view, 3]`` or ``[n_view, 2]`` metres, or the other way round; z is 0 where it is not
-        given.
+    Which of the response's two axes is the view is told by the lengths of the others; where both fit it is the first. A
+    single view may have one axis. Positions may also lie the other way round; z is 0 where it is not given.
+    """
 
-    Returns
-    -------
-    ArrayData
-        By rising frequency or delay.
+    name: ClassVar = "arrays"
+    block: ClassVar = "arrays"
+    takes: ClassVar = "a .mat, .npz, .h5, .hdf5 or .nc file"
+
+    data: str = Field("response", description="name of the complex array [view, frequency] or [view, delay]")
+    data_imag: str | None = Field(None, description="name of the imaginary part, where it is apart")
+    axis: str = Field("frequency", description="name of the frequency or delay axis")
+    axis_kind: Literal["frequency", "delay"] = "frequency"
+    axis_unit: PositiveFloat = Field(1.0, description="Hz or s per unit of the axis: 1e9 for GHz, 1e-9 for ns")
+    angles: str | None = Field(None, description="name of the angles, degrees, one a view")
+    positions: str | None = Field(None, description="name of the positions, [view, 2 or 3] metres")
+    receivers: str | None = Field(None, description="name of the receivers' positions, where they differ")
+
+    @classmethod
+    def recognises(cls, source: Path) -> bool:
+        """Whether its suffix is one of a file of arrays."""
+        return source.suffix.lower() in SUFFIXES and source.is_file()
+
+    def read(self, source: Path, radio: GivenRadio) -> Foreign:
+        """Read responses, or the taps that they are made of."""
+        found = read_responses(source, self)
+        if self.axis_kind == "frequency":
+            axis = found.axis
+            data = found.values, float(axis[0]), float((axis[-1] - axis[0]) / (axis.size - 1))
+        else:
+            data = _of_taps(found, self, source, radio)
+        return Foreign(
+            FrequencyResponse, dict(zip(("response", "start_hz", "step_hz"), data, strict=True)), len(found.values),
+            found.angles_deg, found.positions_m, found.receivers_m,
+        )  # fmt: skip
+
+
+def read_responses(file: str | os.PathLike[str], names: ArrayReader) -> ArrayData:
+    """Read frequency responses or impulse responses of every view, by rising frequency or delay.
 
     Raises
     ------
-    ConfigError
-        ``axis_kind`` is none of the two, or ``axis_unit`` not above 0.
     DataError
         The file cannot be used, lacks an array, or its arrays are not finite, of other shapes or not evenly spaced.
     """
-    if axis_kind not in ("frequency", "delay"):
-        raise ConfigError(f"axis_kind = {axis_kind!r}: unknown; allowed: 'frequency', 'delay'")
-    if not 0 < axis_unit < math.inf:
-        raise ConfigError(f"axis_unit = {axis_unit:g}: must be above 0 and finite")
+    data, data_imag, axis = names.data, names.data_imag, names.axis
+    angles, positions, receivers = names.angles, names.positions, names.receivers
     source = read_array_file(file, [name for name in (data, data_imag, axis, angles, positions, receivers) if name])
-    steps = _real(source, axis, axis_unit)
+    steps = _real(source, axis, names.axis_unit)
     falling = _check_axis(steps, f"{source.file}: axis '{shown(axis)}'")
     angles_deg = None if angles is None else _angles(source, angles)
     positions_m, receivers_m = (None if name is None else _places(source, name) for name in (positions, receivers))
@@ -104,7 +107,7 @@ def read_responses(
         texts = (f"{length} {what}" for what, length in lengths.items())
         raise DataError(f"{source.file}: has {', '.join(texts)}; each view needs one")
     values = _oriented(source, data, data_imag, next(iter(lengths.values()), None), steps.size)
-    if axis_kind == "frequency" and values.dtype.kind != "c":
+    if names.axis_kind == "frequency" and values.dtype.kind != "c":
         raise DataError(
             f"{source.file}: variable '{shown(data)}' is real; a frequency response is complex, or has its imaginary "
             "part in another variable (data_imag)"
@@ -205,3 +208,30 @@ def _oriented(source: ArrayFile, data: str, data_imag: str | None, n_view: int |
                 return candidate
     wanted = f"({n_view or 'views'}, {n_axis})"
     raise DataError(f"{place} has shape {values.shape}, must be {wanted}: views, values of the axis")
+
+
+def _of_taps(
+    data: ArrayData, names: ArrayReader, source: Path, radio: GivenRadio
+) -> tuple[NDArray[np.complex128], float, float]:
+    """Frequency response of complex taps h_l at delays τ_l: H(f) = (K/L) Σ_l h_l exp(−j2π(f − f_c)τ_l).
+
+    Taps Δτ apart fill the band 1/Δτ; where the data's bandwidth is smaller, the K frequencies inside it are kept. The
+    factor is such that an isolated path of gain g, sampled as in our own profiles, has |H| = |g|.
+    """
+    if radio.carrier_hz is None:
+        raise ConfigError("carrier_hz: missing key; taps over delay do not say their carrier")
+    spacing = float((data.axis[-1] - data.axis[0]) / (data.axis.size - 1))
+    if data.axis[0] < 0:
+        raise DataError(f"{source}: {names.axis} begins at {data.axis[0]:g} s; delays are absolute")
+    band = 1 / spacing
+    wanted = radio.bandwidth_hz or band
+    if wanted > band * (1 + 1e-6):
+        raise ConfigError(f"bandwidth_hz = {wanted:g}: taps {spacing:g} s apart hold {band:g} Hz at most")
+    length = int(np.ceil(data.axis[-1] / spacing)) + 1  # so that the unambiguous range holds the last tap
+    step = band / length
+    kept = max(2, min(length, round(wanted / step)))
+    number = np.arange(kept) - (kept - 1) / 2
+    ramp = np.exp(2j * np.pi * (kept - 1) / 2 * np.arange(data.axis.size) / length)
+    spectrum = np.fft.fft(data.values * ramp, length, axis=1)[:, :kept]
+    spectrum *= np.exp(-2j * np.pi * number * step * data.axis[0]) * (kept / data.axis.size)
+    return spectrum, radio.carrier_hz + float(number[0]) * step, step

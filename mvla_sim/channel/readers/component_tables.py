@@ -20,18 +20,20 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mvla_sim.channel.components import Components
+from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader
 from mvla_sim.constants import delay_to_range
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import existing_file
 from mvla_sim.memory import check_memory
 from mvla_sim.scene.columns import PLACE, RECEIVER, Columns, read_columns
 
-__all__ = ["ComponentTable", "read_components"]
+__all__ = ["ComponentReader", "ComponentTable", "read_components"]
 
 LARGEST_VIEW: Final = 999_999
 LONGEST_DELAY_S: Final = 1.0
@@ -77,6 +79,26 @@ class ComponentTable:
     angles_deg: NDArray[np.float64] | None = None
     positions_m: NDArray[np.float64] | None = None
     receivers_m: NDArray[np.float64] | None = None
+
+
+class ComponentReader(Reader):
+    """A CSV file of ready-made components."""
+
+    name: ClassVar = "components"
+    block: ClassVar = "components"
+    takes: ClassVar = "a .csv file of components"
+
+    @classmethod
+    def recognises(cls, source: Path) -> bool:
+        """Whether it is a .csv file."""
+        return source.suffix.lower() == ".csv"
+
+    def read(self, source: Path, radio: GivenRadio) -> Foreign:
+        """Read the table."""
+        del radio
+        table = read_components(source)
+        data = {"range_m": table.range_m, "power": table.power, "row_size": table.row_size}
+        return Foreign(Components, data, table.row_size.size, table.angles_deg, table.positions_m, table.receivers_m)
 
 
 def read_components(file: str | os.PathLike[str]) -> ComponentTable:

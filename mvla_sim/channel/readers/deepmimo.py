@@ -27,19 +27,19 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, ClassVar, Final
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import INTERACTIONS
-from mvla_sim.channel.readers.pairs import PairPaths, join_pairs
+from mvla_sim.channel.readers.pairs import PairPaths, PairReader, join_pairs
 from mvla_sim.errors import DataError
 from mvla_sim.files import existing_file
 from mvla_sim.memory import USABLE
 
-__all__ = ["read_deepmimo"]
+__all__ = ["DeepMimo", "read_deepmimo"]
 
 _LARGEST_ARRAY_BYTES: Final = 4 << 30
 _LARGEST_PARAMS_BYTES: Final = 64 << 20
@@ -56,6 +56,22 @@ _BITS: Final = np.array([0, *(INTERACTIONS[n] for n in ("specular", "diffraction
 _MOST_DIGITS: Final = 15  # of an interaction code; float64 holds no more
 _MOST_POINTS: Final = 100  # of a path; DeepMIMO keeps 10
 _SLOT_BYTES: Final = 150  # of memory for a slot of all arrays, while they are put together
+
+
+class DeepMimo(PairReader):
+    """A folder of a DeepMIMO v4 scenario."""
+
+    name: ClassVar = "deepmimo"
+    takes: ClassVar = "a DeepMIMO folder with params.json"
+
+    @classmethod
+    def recognises(cls, source: Path) -> bool:
+        """Whether it is a folder with ``params.json``."""
+        return source.is_dir() and (source / "params.json").exists()
+
+    def paths(self, source: Path) -> PairPaths:
+        """All pairs of a scenario."""
+        return read_deepmimo(source)
 
 
 def read_deepmimo(folder: str | os.PathLike[str]) -> PairPaths:

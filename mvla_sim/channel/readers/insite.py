@@ -22,16 +22,16 @@ from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, Final, NoReturn
+from typing import BinaryIO, ClassVar, Final, NoReturn
 
 import numpy as np
 
 from mvla_sim.channel.cir import INTERACTIONS
-from mvla_sim.channel.readers.pairs import PairPaths
+from mvla_sim.channel.readers.pairs import PairPaths, PairReader, join_pairs
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import existing_file
 
-__all__ = ["read_p2m"]
+__all__ = ["InSite", "read_p2m"]
 
 _LETTERS: Final = {
     "R": INTERACTIONS["specular"],
@@ -68,6 +68,26 @@ class _Found:
     transmitter: list[float] = field(default_factory=list)
     columns: int = 0
     silent: int = 0
+
+
+class InSite(PairReader):
+    """A .p2m file of Wireless InSite, or a folder of them."""
+
+    name: ClassVar = "insite"
+    takes: ClassVar = "a .p2m file or a folder of them"
+
+    @classmethod
+    def recognises(cls, source: Path) -> bool:
+        """Whether its suffix is .p2m, or a folder holds such files."""
+        return source.suffix.lower() == ".p2m" or (source.is_dir() and any(source.glob("*.p2m")))
+
+    def paths(self, source: Path) -> PairPaths:
+        """All pairs of all files."""
+        files = sorted(source.glob("*.p2m")) if source.is_dir() else [source]
+        if not files:
+            raise DataError(f"{source}: holds no .p2m file")
+        parts = [read_p2m(file, self.transmit_power_dbm) for file in files]
+        return parts[0] if len(parts) == 1 else join_pairs(parts, {"files": str(len(parts))})
 
 
 def read_p2m(file: str | os.PathLike[str], transmit_power_dbm: float = 0.0) -> PairPaths:

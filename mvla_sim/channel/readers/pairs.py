@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Final, Literal
+from pathlib import Path
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat
 
-from mvla_sim.channel.cir import INTERACTIONS
+from mvla_sim.channel.cir import INTERACTIONS, Cir
+from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.ragged import Ragged
 
-__all__ = ["PairPaths", "PairSelection", "drop_line_of_sight", "join_pairs", "select_pairs"]
+__all__ = ["PairPaths", "PairReader", "PairSelection", "drop_line_of_sight", "join_pairs", "select_pairs"]
 
 PairSelection = Literal["co-located", "all", "auto"]
 """Which pairs to keep: sensors that hear their own signal, every pair, or the former where there is one."""
@@ -25,7 +28,7 @@ _LARGEST_GAIN: Final = 1e10
 
 
 @dataclass(frozen=True, eq=False)
-class PairPaths:
+class PairPaths(Ragged):
     """Paths between pairs of transmitter and receiver; pair after pair, within a pair by rising delay.
 
     Attributes
@@ -75,7 +78,7 @@ class PairPaths:
             strong = ~(np.abs(self.gain) <= _LARGEST_GAIN)
         if strong.any():
             raise DataError(f"paths: a gain is NaN or above {20 * np.log10(_LARGEST_GAIN):.0f} dB")
-        if (np.diff(self.delay_s)[np.diff(self.pair_index) == 0] < 0).any():
+        if (np.diff(self.delay_s)[np.diff(self.row_index) == 0] < 0).any():
             raise DataError("paths: the paths of a pair are not in the order of rising delay")
         if (self.interaction > sum(INTERACTIONS.values())).any():
             raise DataError(f"paths: interaction {self.interaction.max()} has bits other than those of {INTERACTIONS}")
@@ -96,8 +99,7 @@ class PairPaths:
         for name, shape in wanted.items():
             if getattr(self, name).shape != shape:
                 raise DataError(f"paths: {name} has shape {getattr(self, name).shape}, must be {shape}")
-        if (self.row_size < 0).any() or (self.row_size > paths).any() or self.row_size.sum() != paths:
-            raise DataError(f"paths: row_size must be at least 0 and add up to {paths} paths")
+        self.check_rows("paths", pairs, paths)
 
     @property
     def n_pair(self) -> int:
@@ -108,11 +110,6 @@ class PairPaths:
     def n_path(self) -> int:
         """Number of paths of all pairs."""
         return self.gain.size
-
-    @cached_property
-    def pair_index(self) -> NDArray[np.int64]:
-        """Pair of each path, ``[n_path]``."""
-        return np.repeat(np.arange(self.n_pair, dtype=np.int64), self.row_size)
 
     @property
     def distance_m(self) -> NDArray[np.float64]:
@@ -125,6 +122,36 @@ class PairPaths:
         """Whether a path is direct, without any interaction, ``[n_path]``."""
         direct: NDArray[np.bool_] = self.interaction == 0
         return direct
+
+
+class PairReader(Reader):
+    """A reader of paths between transmitters and receivers, of which some pairs become views."""
+
+    block: ClassVar = "pairs"
+
+    which: PairSelection = Field("auto", description="auto: co-located pairs if there are any")
+    tolerance_m: NonNegativeFloat = Field(1.0, description="pairs this near to each other count as co-located")
+    line_of_sight: bool = Field(False, description="keep direct paths, which are no echo of a target")
+    transmit_power_dbm: float = Field(0.0, description="insite: what received powers are relative to")
+
+    def paths(self, source: Path) -> PairPaths:
+        """All pairs of a source, with all their paths."""
+        raise NotImplementedError
+
+    def read(self, source: Path, radio: GivenRadio) -> Foreign:
+        """Read the pairs, choose among them, and drop direct paths unless they are to be kept."""
+        del radio
+        paths = select_pairs(self.paths(source), self.which, self.tolerance_m)
+        if not self.line_of_sight:
+            paths = drop_line_of_sight(paths)
+        if paths.n_pair == 0 or paths.n_path == 0:
+            raise DataError(f"{source}: no echo in any of {paths.n_pair} pairs; nothing can be imaged")
+        apart = bool((paths.receivers_m != paths.transmitters_m).any())
+        data = {item.field: getattr(paths, item.field) for item in Cir.VARIABLES}
+        return Foreign(
+            Cir, data | {"gain": paths.gain.astype(np.complex64)}, paths.n_pair, None, paths.transmitters_m,
+            paths.receivers_m if apart else None, paths.carrier_hz, paths.source,
+        )  # fmt: skip
 
 
 def join_pairs(parts: Sequence[PairPaths], source: Mapping[str, str]) -> PairPaths:
@@ -185,7 +212,7 @@ def select_pairs(paths: PairPaths, which: PairSelection, tolerance_m: float) -> 
         closest = f"the closest are {distance.min():g} m apart" if distance.size else "there is no pair at all"
         raise DataError(f"paths: no transmitter and receiver within {tolerance_m:g} m of each other; {closest}")
     return replace(
-        _keep_paths(paths, near[paths.pair_index]),
+        _keep_paths(paths, near[paths.row_index]),
         transmitters_m=paths.transmitters_m[near],
         receivers_m=paths.receivers_m[near],
         row_size=paths.row_size[near],
@@ -209,7 +236,7 @@ def _keep_paths(paths: PairPaths, keep: NDArray[np.bool_]) -> PairPaths:
     """Return every pair with those of its paths that are to be kept, ``[n_path]``."""
     return replace(
         paths,
-        row_size=np.bincount(paths.pair_index[keep], minlength=paths.n_pair).astype(np.int64),
+        row_size=np.bincount(paths.row_index[keep], minlength=paths.n_pair).astype(np.int64),
         gain=paths.gain[keep],
         delay_s=paths.delay_s[keep],
         interaction=paths.interaction[keep],

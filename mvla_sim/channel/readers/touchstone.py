@@ -1,53 +1,96 @@
-"""Touchstone files of a vector network analyser: one frequency sweep a file, one file a view."""
+"""Folders of Touchstone files, one sweep a view, less a background and put to scale by a reference."""
 
 from __future__ import annotations
 
 import fnmatch
-import io
+import logging
 import os
-import re
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from skrf.io.touchstone import Touchstone
+from pydantic import Field
 
 from mvla_sim.channel.readers.angles import angles_of_files, missing_angles
-from mvla_sim.channel.readers.import_settings import SweepSettings
+from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader
+from mvla_sim.channel.readers.touchstone_files import AXIS_TOLERANCE, Sweep, read_touchstone
+from mvla_sim.channel.references import BackgroundSettings, ReferenceSettings, calibrate, subtract_background
+from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.files import atomic_output, existing_file
 
-__all__ = ["FolderSweeps", "Sweep", "missing_angles", "read_folder", "read_touchstone", "write_touchstone"]
-
-AXIS_TOLERANCE: Final = 0.01
-"""How far a frequency may be off the uniform axis, in steps. Files hold rounded frequencies; at the unambiguous range
-such an error turns the phase by at most 0.01·360° = 3.6°, nearer echoes by less. Lists and segments miss by steps."""
-LARGEST_FILE: Final = 2**27
-"""128 MiB: 100 001 frequencies of four ports take 80. More would take the parser gigabytes."""
-
-_UNITS = ("hz", "khz", "mhz", "ghz")
-_FORMATS = ("ri", "ma", "db")
-_UNPARSED = (ValueError, TypeError, IndexError, KeyError, AttributeError, ArithmeticError, MemoryError)
+__all__ = ["FolderSweeps", "TouchstoneFolder", "read_folder"]
 
 
-@dataclass(frozen=True, eq=False)
-class Sweep:
-    """One S-parameter at uniform frequencies.
+class TouchstoneFolder(Reader):
+    """A folder of Touchstone files, one a view."""
 
-    Attributes
-    ----------
-    start_hz, step_hz
-        First frequency and spacing Δf, hertz.
-    response
-        ``[n_frequency]`` complex128, as stored: relative to the file's own reference impedance, which is not changed.
-    """
+    name: ClassVar = "touchstone"
+    block: ClassVar = "sweeps"
+    takes: ClassVar = "a folder of .s1p/.s2p files"
+    setting_files: ClassVar = (
+        ("angle_file",),
+        ("background", "file"),
+        ("reference", "file"),
+        ("reference", "background"),
+    )
 
-    start_hz: float
-    step_hz: float
-    response: NDArray[np.complex128]
+    files: str = Field("*.s[12]p", description="which files of the folder are views")
+    parameter: Annotated[str, Field(pattern=r"^[sS][12][12]$")] = Field("S21", description="S11, S21, S12 or S22")
+    angle_pattern: str | None = Field(
+        "{angle}", description="where a file's name says its angle, as in car_{angle}deg.s2p"
+    )
+    angle_file: str | None = Field(None, description="or a CSV file with the columns file,angle_deg")
+    background: BackgroundSettings | None = None
+    reference: ReferenceSettings | None = None
+
+    @classmethod
+    def recognises(cls, source: Path) -> bool:
+        """Whether it is a folder: of sweeps, if no other reader knows it."""
+        return source.is_dir()
+
+    def read(self, source: Path, radio: GivenRadio) -> Foreign:
+        """Read every view, subtract the background, and calibrate by the reference."""
+        del radio
+        if not source.is_dir():
+            raise DataError(f"{source}: no such folder of Touchstone files")
+        swept = read_folder(self, source)
+        files, angles, start, step, response = swept
+        facts = {"files": f"{files[0].name} to {files[-1].name}"}
+        if lacking := missing_angles(angles):
+            shown = ", ".join(f"{angle:g}" for angle in lacking[:8])
+            logging.getLogger("mvla_sim").warning(
+                "mvla: note: %s: no file for %d of the evenly spaced angles: %s°", source, len(lacking), shown
+            )
+        background = None
+        if self.background is not None:
+            background = self._like(swept, self.background.file)
+            response, residual = subtract_background(response, background, start, step, self.background.align_m)
+            facts["background"] = f"{Path(self.background.file).name}, residual {np.median(residual):.1f} dB"
+        if self.reference is not None:
+            echo = self._like(swept, self.reference.file)
+            empty = (
+                self._like(swept, self.reference.background) if self.reference.background is not None else background
+            )
+            if empty is not None:
+                align = self.background.align_m if self.background is not None else None
+                echo = subtract_background(echo[None], empty, start, step, align)[0][0]
+            response, delay, gain = calibrate(response, echo, self.reference, start, step)
+            facts["calibration"] = f"{delay * 1e9:.4f} ns and {20 * np.log10(gain):.2f} dB by {self.reference.kind}"
+        data = {"response": response, "start_hz": start, "step_hz": step}
+        return Foreign(FrequencyResponse, data, len(files), angles_deg=angles, facts=facts)
+
+    def _like(self, views: FolderSweeps, file: str) -> NDArray[np.complex128]:
+        """Another sweep, which must have the views' axis."""
+        other, count = read_touchstone(file, self.parameter), views.response.shape[1]
+        ours, theirs = [views.start_hz, views.step_hz], [other.start_hz, other.step_hz]
+        if other.response.size != count or not np.allclose(theirs, ours, rtol=1e-6, atol=0):
+            raise DataError(
+                f"{file}: {other.response.size} frequencies from {other.start_hz / 1e9:.6g} GHz in steps of "
+                f"{other.step_hz / 1e6:.6g} MHz; {views.files[0].name} has {count} from {views.start_hz / 1e9:.6g} GHz "
+                f"in steps of {views.step_hz / 1e6:.6g} MHz: measure both over one axis"
+            )
+        return other.response
 
 
 class FolderSweeps(NamedTuple):
@@ -72,71 +115,7 @@ class FolderSweeps(NamedTuple):
     response: NDArray[np.complex128]
 
 
-@dataclass(frozen=True, eq=False)
-class _Content:
-    """A Touchstone file without comments: its text, data lines (number in the file, text) and declared ports."""
-
-    text: str
-    data: Sequence[tuple[int, str]]
-    ports: int
-    version_2: bool
-
-
-def read_touchstone(file: str | os.PathLike[str], parameter: str = "S21") -> Sweep:
-    """Read one S-parameter of a Touchstone file.
-
-    Formats RI, MA and DB, units Hz to GHz, any reference impedance, versions 1 and 2 of the format.
-
-    Parameters
-    ----------
-    file
-        Its name ends in ``.s1p``, ``.s2p``, … or, for version 2, ``.ts``.
-    parameter
-        ``"S11"``, ``"S21"``, …: the port received at, then the port transmitted from.
-
-    Raises
-    ------
-    DataError
-        Missing, empty, no text, truncated, not of S-parameters, without this parameter, with values that are not
-        finite, or with frequencies that do not rise uniformly.
-    """
-    path = existing_file(file, "Touchstone file")
-    if not re.fullmatch(r"[sS][1-9][1-9]", parameter):
-        raise ConfigError(f"parameter = '{parameter}': allowed: S11, S21, S12, S22")
-    row, column = int(parameter[1]), int(parameter[2])
-    content = _essentials(path)
-    stream = io.StringIO(content.text)
-    stream.name = path.name  # tells the parser the number of ports
-    try:
-        with np.errstate(all="ignore"):
-            parsed = Touchstone(stream)
-            frequency, matrix = parsed.get_sparameter_arrays()
-            noise = np.zeros((0, 5)) if parsed.noise is None else np.atleast_2d(parsed.noise)
-    except _UNPARSED as error:
-        raise DataError(f"{path}: {_flaw(content.data, content.ports)}") from error
-    if noise.shape[1] != 5:  # a line of a two-port whose frequency falls is taken for the start of noise data
-        raise DataError(f"{path}: frequencies fall at {noise[0, 0]:.12g} Hz; they must rise")
-    starts = sum(len(line.split()) % 2 for _, line in content.data)  # a frequency and pairs: odd; pairs alone: even
-    if starts != len(frequency) + (0 if content.version_2 else len(noise)):
-        raise DataError(f"{path}: {_flaw(content.data, content.ports)}")
-    declared = parsed.frequency_nb
-    if declared is not None and declared != len(frequency):
-        raise DataError(f"{path}: declares {declared} frequencies and holds {len(frequency)}; it is truncated")
-    ports = matrix.shape[1]
-    if max(row, column) > ports:
-        only = "S11 only" if ports == 1 else f"S11 to S{ports}{ports}"
-        raise DataError(f"{path}: has no {parameter.upper()}; a file of {ports} port{'s' * (ports > 1)} has {only}")
-    response = np.array(matrix[:, row - 1, column - 1], np.complex128)
-    start, step = _uniform(np.asarray(frequency, np.float64), path)
-    bad = np.flatnonzero(~np.isfinite(response))
-    if len(bad):
-        raise DataError(
-            f"{path}: {parameter.upper()} is not finite at {start + step * bad[0]:.12g} Hz ({len(bad)} such values)"
-        )
-    return Sweep(start, step, response)
-
-
-def read_folder(settings: SweepSettings, folder: str | os.PathLike[str]) -> FolderSweeps:
+def read_folder(settings: TouchstoneFolder, folder: str | os.PathLike[str]) -> FolderSweeps:
     """Read every sweep of a folder, with its angle.
 
     Parameters
@@ -160,7 +139,7 @@ def read_folder(settings: SweepSettings, folder: str | os.PathLike[str]) -> Fold
     How an angle stands in a name is with :func:`~mvla_sim.channel.readers.angles.angles_of_files`.
     """
     files = _view_files(settings, Path(folder))
-    angles = angles_of_files(settings, files)
+    angles = angles_of_files(files, settings.angle_pattern, settings.angle_file)
     order = np.argsort(angles)
     files, angles = [files[i] for i in order], angles[order]
     first: Sweep | None = None
@@ -174,169 +153,7 @@ def read_folder(settings: SweepSettings, folder: str | os.PathLike[str]) -> Fold
     return FolderSweeps(tuple(files), angles, first.start_hz, first.step_hz, np.stack(rows))
 
 
-def write_touchstone(
-    file: str | os.PathLike[str], frequency_hz: NDArray[np.float64], s: NDArray[np.complex128]
-) -> None:
-    """Write S-parameters of one or two ports: version 1, RI, Hz, 50 Ω, with every digit.
-
-    Parameters
-    ----------
-    file
-        Name that ends in ``.s1p`` or ``.s2p``.
-    frequency_hz
-        ``[n_frequency]``, hertz.
-    s
-        ``[n_frequency, n_port, n_port]``; ``s[:, 1, 0]`` is S21.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
-    ports = s.shape[-1]
-    if s.shape != (len(frequency_hz), ports, ports) or ports not in (1, 2):
-        raise DataError(f"{file}: S-parameters of shape {s.shape}; allowed: [{len(frequency_hz)}, n, n] with n = 1, 2")
-    if Path(file).suffix.lower() != f".s{ports}p":
-        raise ConfigError(f"{file}: the name of a file of {ports} ports must end in .s{ports}p")
-    table = np.empty((len(frequency_hz), 1 + 2 * ports**2))
-    table[:, 0] = frequency_hz
-    columns = s.transpose(0, 2, 1).reshape(len(s), -1)  # S11 S21 S12 S22
-    table[:, 1::2], table[:, 2::2] = columns.real, columns.imag
-    if not np.isfinite(table).all():
-        raise DataError(f"{file}: S-parameters or frequencies are not finite")
-    line = " ".join(["%.17g"] * table.shape[1]) + "\n"
-    head = "! synthetic: computed by mvla-sim, not measured\n# Hz S RI R 50\n"
-    with atomic_output(file) as temporary:
-        temporary.write_text(head + line * len(table) % tuple(table.ravel().tolist()), encoding="ascii")
-
-
-def _text(path: Path) -> str:
-    size = path.stat().st_size
-    if size > LARGEST_FILE:
-        raise DataError(f"{path}: has {size / 2**20:.0f} MiB; a Touchstone file of more than 128 MiB is not read")
-    raw = path.read_bytes()
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
-
-
-def _essentials(path: Path) -> _Content:
-    """Leave out comments, spell out the option line, and refuse what the parser would take for something else.
-
-    Comments may hold anything, and the parser's search for port names in them takes quadratic time.
-    """
-    suffix = re.fullmatch(r"\.s(\d{1,4})p|\.ts", path.suffix.lower())
-    if suffix is None:
-        raise DataError(f"{path}: the name of a Touchstone file ends in .s1p, .s2p, … or .ts")
-    ports = int(suffix[1] or 0)
-    lines: list[str] = []
-    data: list[tuple[int, str]] = []
-    option = version_2 = False
-    counts = True  # whether lines of numbers here are S-parameters
-    for number, line in enumerate(_text(path).splitlines(), 1):
-        body = line.partition("!")[0].strip()
-        if body.startswith("#"):
-            body = "" if option else _option_line(body, f"{path}: line {number}")  # only the first one counts
-            option = True
-        elif body.startswith("["):
-            keyword, _, value = body.lower().partition("]")
-            if keyword == "[mixed-mode order":
-                raise DataError(f"{path}: line {number}: has mixed-mode parameters; allowed: single-ended ones")
-            if keyword == "[number of ports":
-                ports = int(value) if re.fullmatch(r"\s*\d{1,4}\s*", value) else 0
-            version_2 = version_2 or keyword == "[version"
-            counts = keyword == "[network data" or (counts and not version_2)
-        elif body and counts:
-            data.append((number, body))
-        lines.append(body)
-    _check_counts(path, data, ports, option)
-    return _Content("\n".join(lines), data, ports, version_2)
-
-
-def _check_counts(path: Path, data: Sequence[tuple[int, str]], ports: int, option: bool) -> None:
-    """Refuse data that are none, or that would make the parser fill memory with what is not there."""
-    if not data:
-        raise DataError(f"{path}: holds no data, only {'an option line' if option else 'comments or blank lines'}")
-    if not option:
-        raise DataError(f"{path}: has no option line such as '# Hz S RI R 50'; it is no Touchstone file")
-    if ports < 1:
-        raise DataError(f"{path}: does not say its number of ports in its name or under [Number of Ports]")
-    for number, body in data:
-        if len(body.split(maxsplit=1)) == 1:
-            raise DataError(f"{path}: line {number}: has one value; allowed: a frequency and S-parameters")
-    values = sum(len(body.split()) for _, body in data)
-    if ports * (ports + 1) >= values:  # half of a symmetric matrix, in pairs, is the least
-        raise DataError(f"{path}: holds {values} values, too few for one frequency of {ports} ports; it is truncated")
-
-
-def _option_line(body: str, place: str) -> str:
-    """Spell out an option line, whose parts may stand in any order or be left out; impedances change no value."""
-    unit, form = "ghz", "ma"
-    for token in body[1:].lower().split():
-        if token in _UNITS:
-            unit = token
-        elif token in _FORMATS:
-            form = token
-        elif token in ("y", "z", "g", "h"):
-            raise DataError(f"{place}: holds {token.upper()}-parameters; allowed: S-parameters")
-        elif token not in ("s", "r") and not _is_number(token, complex):
-            raise DataError(f"{place}: {token[:20]!r} is unknown in an option line; allowed: as in '# Hz S RI R 50'")
-    return f"# {unit} s {form} r 50"
-
-
-def _is_number(token: str, kind: type[float] | type[complex]) -> bool:
-    try:
-        kind(token)
-    except ValueError:
-        return False
-    return True
-
-
-def _flaw(data: Sequence[tuple[int, str]], ports: int) -> str:
-    """Say what is wrong with data that did not parse: the first odd one out."""
-    for number, body in data:
-        for token in body.split():
-            if not _is_number(token, float):
-                return f"line {number}: {token[:20]!r} is not a number"
-    counts = [len(body.split()) for _, body in data]
-    if ports <= 2:
-        for (number, _), count in zip(data, counts, strict=True):
-            if count != 1 + 2 * ports**2:
-                return (
-                    f"line {number}: has {count} values; a file of {ports} port{'s' * (ports > 1)} has "
-                    f"{1 + 2 * ports**2} a line, a frequency and {ports**2} complex numbers (is it truncated?)"
-                )
-    if sum(counts) % (1 + 2 * ports**2):
-        return f"its {sum(counts)} values are no whole number of frequencies of {ports} ports (is it truncated?)"
-    return "is no Touchstone file that can be read: its keywords or the breaks of its lines are unusual"
-
-
-def _uniform(frequency_hz: NDArray[np.float64], file: Path) -> tuple[float, float]:
-    """Start and step of the axis."""
-    if len(frequency_hz) < 2:
-        raise DataError(f"{file}: has {len(frequency_hz)} frequency; allowed: 2 or more")
-    if not np.isfinite(frequency_hz).all():
-        raise DataError(f"{file}: a frequency is not finite")
-    if frequency_hz[0] < 0:
-        raise DataError(f"{file}: starts at {frequency_hz[0]:.12g} Hz; allowed: 0 or more")
-    falls = np.flatnonzero(np.diff(frequency_hz) <= 0)
-    if len(falls):
-        before, after = frequency_hz[falls[0]], frequency_hz[falls[0] + 1]
-        raise DataError(f"{file}: frequency {after:.12g} Hz follows {before:.12g} Hz; they must rise")
-    start = float(frequency_hz[0])
-    step = float((frequency_hz[-1] - start) / (len(frequency_hz) - 1))
-    off = abs(frequency_hz - start - step * np.arange(len(frequency_hz)))
-    worst = int(off.argmax())
-    if off[worst] > AXIS_TOLERANCE * step:
-        raise DataError(
-            f"{file}: frequency {frequency_hz[worst]:.12g} Hz is {off[worst] / step:.2g} steps off a uniform axis; "
-            f"allowed: {AXIS_TOLERANCE:g} steps"
-        )
-    return start, step
-
-
-def _view_files(settings: SweepSettings, folder: Path) -> list[Path]:
+def _view_files(settings: TouchstoneFolder, folder: Path) -> list[Path]:
     if "/" in settings.files or "\\" in settings.files:
         raise ConfigError(f"sweeps.files = '{settings.files}': allowed: a pattern of names in the folder, without '/'")
     if not folder.is_dir():
@@ -358,7 +175,7 @@ def _view_files(settings: SweepSettings, folder: Path) -> list[Path]:
     return files
 
 
-def _other_sweeps(settings: SweepSettings) -> list[str]:
+def _other_sweeps(settings: TouchstoneFolder) -> list[str]:
     """Files of background and reference."""
     names = [settings.background.file] if settings.background else []
     if settings.reference:

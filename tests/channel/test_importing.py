@@ -1,0 +1,111 @@
+"""Importing: which reader a source is for, readers of other packages, and what settings say of files."""
+
+from __future__ import annotations
+
+import json
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from kinds_of_channel import random_response
+
+from mvla_sim.channel.importing import ImportSettings, import_channel, import_settings, resolve_files, source_kind
+from mvla_sim.channel.readers.source import READERS, Foreign, Reader
+from mvla_sim.channel.response import FrequencyResponse
+from mvla_sim.errors import ConfigError, DataError
+
+OWN = ["arrays", "components", "deepmimo", "insite", "touchstone"]
+
+
+@pytest.fixture
+def pulses():
+    """A reader as another package would define it, for as long as a test runs."""
+
+    class Pulses(Reader):
+        """Text files of one number: how many views there are."""
+
+        name: ClassVar = "pulses"
+        block: ClassVar = "pulses"
+        takes: ClassVar = "a .pulse file"
+        points: int = 11
+
+        @classmethod
+        def recognises(cls, source):
+            return source.suffix == ".pulse"
+
+        def read(self, source, radio):
+            count = int(source.read_text())
+            data = {"response": np.ones((count, self.points), complex), "start_hz": radio.carrier_hz, "step_hz": 1e6}
+            return Foreign(FrequencyResponse, data, count, angles_deg=10.0 * np.arange(count), facts={"by": "hand"})
+
+    yield Pulses
+    del READERS._classes["pulses"]
+
+
+def test_this_packages_readers_are_found_by_name():
+    assert [model.name for model in READERS.own()] == OWN
+    for name in OWN:
+        assert READERS.find(name).kinds is READERS
+
+
+def test_sources_tell_their_reader(tmp_path):
+    for name in ("sweeps", "scenario", "study", "empty"):
+        (tmp_path / name).mkdir()
+    for name in ("sweeps/a.s2p", "scenario/params.json", "scenario/a.s2p", "study/x.paths.t001_01.r002.p2m"):
+        (tmp_path / name).write_text("x")
+    for name in ("a.mat", "b.NPZ", "c.h5", "d.hdf5", "e.nc", "f.csv", "g.p2m", "h.s2p", "i.docx"):
+        (tmp_path / name).write_text("x")
+    kinds = {
+        "sweeps": "touchstone", "empty": "touchstone", "scenario": "deepmimo", "study": "insite", "f.csv": "components",
+        "g.p2m": "insite", **dict.fromkeys(("a.mat", "b.NPZ", "c.h5", "d.hdf5", "e.nc"), "arrays"),
+    }  # fmt: skip
+    assert {name: source_kind(tmp_path / name) for name in kinds} == kinds
+    with pytest.raises(DataError, match=r"h\.s2p: is one sweep; give the folder"):
+        source_kind(tmp_path / "h.s2p")
+    with pytest.raises(DataError, match=r"i\.docx: unknown kind of source; allowed: .*a folder of \.s1p/\.s2p files"):
+        source_kind(tmp_path / "i.docx")
+    with pytest.raises(DataError, match="no such file or folder"):
+        source_kind(tmp_path / "none")
+
+
+def test_a_reader_from_elsewhere_is_used_with_its_settings(tmp_path, pulses):
+    (tmp_path / "a.pulse").write_text("4")
+    (tmp_path / "i.toml").write_text(
+        'source = "a.pulse"\ncarrier_hz = 36e9\n[pulses]\npoints = 21\n[geometry]\nradius_m = 5.0\n'
+    )
+    channel = import_channel(import_settings(file=tmp_path / "i.toml"))
+    assert channel.response.shape == (4, 21)
+    assert (channel.provenance["importer"], channel.provenance["source.by"]) == ("pulses", "hand")
+    assert channel.config["source"] == "a.pulse"
+    assert channel.config["pulses"] == {"points": 21}
+    other = import_channel(import_settings(file=tmp_path / "i.toml", overrides=["pulses.points=5"]))
+    assert other.response.shape == (4, 5)
+    named = ImportSettings(source=str(tmp_path / "a.pulse"), kind="pulses", carrier_hz=36e9, geometry={"radius_m": 5})
+    assert import_channel(named).response.shape == (4, 11)
+    with pytest.raises(ConfigError, match=r"pulses\.points = 'x'.*integer"):
+        import_settings(file=tmp_path / "i.toml", overrides=["pulses.points=x"])
+    with pytest.raises(ConfigError, match=r"pulses\.point: unknown key"):
+        import_settings(file=tmp_path / "i.toml", overrides=["pulses.point=1"])
+
+
+def test_what_is_no_reader_is_refused():
+    with pytest.raises(ConfigError, match=r"kind = 'vna'.*'vna' is no reader; allowed: arrays, components, deepmimo"):
+        import_settings("x", overrides=["kind=vna"])
+    with pytest.raises(ConfigError, match="pulses: unknown key"):
+        import_settings("x", overrides=["pulses.points=1"])
+
+
+def test_files_that_settings_name_lie_beside_them_and_leave_no_folder_behind(tmp_path):
+    table = {
+        "source": "s", "geometry": {"positions": "p.csv"}, "antenna": {"kind": "file", "file": "a.csv"},
+        "sweeps": {"angle_file": "f.csv", "background": {"file": "b.s2p"}, "reference": {"file": "r.s2p"}},
+    }  # fmt: skip
+    resolve_files(table, tmp_path)
+    assert json.dumps(table).count(str(tmp_path)) == 6
+    np.savez(tmp_path / "a.npz", response=random_response().response, frequency=34.5e9 + 7.5e6 * np.arange(33))
+    rows = "".join(f"{k},5,0\n" for k in range(5))
+    (tmp_path / "p.csv").write_text("x_m,y_m,z_m\n" + rows)
+    settings = import_settings(tmp_path / "a.npz", overrides=[f"geometry.positions={tmp_path / 'p.csv'}"])
+    channel = import_channel(settings)
+    assert str(tmp_path) not in json.dumps(dict(channel.config))
+    assert channel.config["geometry"]["positions"] == "p.csv"
