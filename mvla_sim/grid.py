@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import NonNegativeFloat, PositiveFloat, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from mvla_sim.errors import ConfigError
 from mvla_sim.settings import Settings
@@ -17,9 +17,11 @@ __all__ = ["GridSettings", "VoxelGrid"]
 class GridSettings(Settings):
     """The voxel grid: centre, size and spacing. A vertical size of 0 is one layer at the centre's height."""
 
-    center_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    size_m: tuple[PositiveFloat, PositiveFloat, NonNegativeFloat] = (10.0, 10.0, 0.0)
-    spacing_m: PositiveFloat = 0.05
+    center_m: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="of the grid, x, y and z")
+    size_m: tuple[PositiveFloat, PositiveFloat, NonNegativeFloat] = Field(
+        (10.0, 10.0, 0.0), description="along x, y and z; a height of 0 is one layer"
+    )
+    spacing_m: PositiveFloat = Field(0.05, description="side of a voxel")
 
     @model_validator(mode="after")
     def _check(self) -> GridSettings:

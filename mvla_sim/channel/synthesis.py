@@ -59,7 +59,7 @@ class SynthesisSettings(Settings):
     system_gain_db: float = Field(0.0, description="gain of amplifiers and cables, in every sweep")
     reference_range_m: PositiveFloat | None = Field(None, description="also sweep a metal sphere at this range")
     reference_radius_m: PositiveFloat = Field(0.15, description="radius of that sphere")
-    seed: NonNegativeInt = 0
+    seed: NonNegativeInt = Field(0, description="of noise and phases")
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,9 +34,11 @@ Point3 = tuple[float, float, float]
 class RandomTrajectory(Settings):
     """What all trajectories have; distances are from the middle of the grid, heights from its layer."""
 
-    interval_deg: Annotated[Listed, bounded(least=0.01, most=360)] = 1.0
-    height_m: Real = 0.0
-    pair_separation_m: Annotated[Real, bounded(least=0)] = 0.0
+    interval_deg: Annotated[Listed, bounded(least=0.01, most=360)] = Field(1.0, description="between views")
+    height_m: Real = Field(0.0, description="of the sensor, above the grid's layer")
+    pair_separation_m: Annotated[Real, bounded(least=0)] = Field(
+        0.0, description="distance between transmitter and receiver, side by side"
+    )
     radius_m: Annotated[Real, bounded(above=0)] = Field(10.0, description="of a turntable: from the axis to the sensor")
 
     def drawn(self, center_m: Point3, random: np.random.Generator) -> Trajectory:
@@ -70,7 +72,7 @@ class RandomCircle(FullTurn):
     """A sensor that goes round the target."""
 
     kind: Literal["circle"] = "circle"
-    start_deg: Real = 0.0
+    start_deg: Real = Field(0.0, description="azimuth of the first view")
 
     def placed(
         self, center_m: Point3, radius_m: float, random: np.random.Generator, common: dict[str, float]
@@ -98,8 +100,8 @@ class RandomArc(RandomTrajectory):
     """Part of a circle."""
 
     kind: Literal["arc"]
-    start_deg: Real = 0.0
-    span_deg: Annotated[Real, bounded(above=0, below=360)]
+    start_deg: Real = Field(0.0, description="azimuth of the first view")
+    span_deg: Annotated[Real, bounded(above=0, below=360)] = Field(description="from the first view to the last")
 
     @model_validator(mode="after")
     def _check(self) -> RandomArc:
@@ -122,9 +124,9 @@ CampaignTrajectory = Annotated[RandomCircle | RandomTurntable | RandomArc, Field
 class SplitSettings(Settings):
     """Shares of the samples; a sample is a scene, so no scene is in two splits."""
 
-    train: Annotated[float, Field(ge=0, le=1)] = 0.7
-    validation: Annotated[float, Field(ge=0, le=1)] = 0.1
-    test: Annotated[float, Field(ge=0, le=1)] = 0.2
+    train: Annotated[float, Field(ge=0, le=1, description="share of the samples")] = 0.7
+    validation: Annotated[float, Field(ge=0, le=1, description="share of the samples")] = 0.1
+    test: Annotated[float, Field(ge=0, le=1, description="share of the samples")] = 0.2
 
     @model_validator(mode="after")
     def _check(self) -> SplitSettings:
@@ -141,14 +143,14 @@ class CampaignSettings(Settings):
     ``{ choices = [1, 2], weights = [3, 1] }`` a list; numbers of things are whole in all three.
     """
 
-    name: Name
-    description: str = ""
+    name: Name = Field(description="of the dataset")
+    description: str = Field("", description="in the dataset's card")
     licence: Annotated[str, Field(min_length=1, pattern=r"^[\w.+() -]+$", description="SPDX expression")] = "CC-BY-4.0"
-    seed: NonNegativeInt = 0
-    samples: Annotated[int, Field(ge=1, le=10_000_000)]
-    samples_per_shard: Annotated[int, Field(ge=1, le=10_000)] = 20
+    seed: NonNegativeInt = Field(0, description="decides every sample")
+    samples: Annotated[int, Field(ge=1, le=10_000_000, description="number of samples")]
+    samples_per_shard: Annotated[int, Field(ge=1, le=10_000, description="samples of one file")] = 20
     split: SplitSettings = SplitSettings()
-    families: Annotated[tuple[FamilySettings, ...], Field(min_length=1)]
+    families: Annotated[tuple[FamilySettings, ...], Field(min_length=1, description="kinds of targets that are drawn")]
     trajectory: CampaignTrajectory = RandomCircle()
     radio: RadioSettings = RadioSettings()
     ray_tracing: RayTracingSettings = RayTracingSettings()

@@ -44,16 +44,18 @@ class Family(Settings):
     circle about the object's centre that its outermost point lies on.
     """
 
-    name: Name
+    name: Name = Field(description="of the family")
     weight: Weight = Field(1.0, description="how often the family is drawn, relative to the others")
     objects: Annotated[Whole, bounded(least=1, most=100)] = Field(1, description="objects of a sample")
-    size_m: Annotated[Real, bounded(least=0.001)]
+    size_m: Annotated[Real, bounded(least=0.001)] = Field(description="extent of an object: diameter, side or length")
     x_m: Real = Field(0.0, description="of an object's centre, from the middle of the grid")
-    y_m: Real = 0.0
-    rotation_deg: Real = 0.0
-    height_m: Annotated[Real, bounded(above=0)] = 2.0
+    y_m: Real = Field(0.0, description="of an object's centre, from the middle of the grid")
+    rotation_deg: Real = Field(0.0, description="about the vertical axis, counter-clockwise")
+    height_m: Annotated[Real, bounded(above=0)] = Field(2.0, description="from bottom to top")
     material: Annotated[ItuMaterial, Drawn(MaterialChoice)] = Field("metal", description="ITU-R P.2040 names")
-    scattering_coefficient: Annotated[Real, bounded(least=0, most=1)] = 0.1
+    scattering_coefficient: Annotated[Real, bounded(least=0, most=1)] = Field(
+        0.1, description="share of the reflected field's amplitude that is scattered diffusely"
+    )
 
     makes: ClassVar[type[Prism]]
     """The shape of its objects."""
@@ -79,7 +81,7 @@ class CircleFamily(Family):
     makes: ClassVar = Cylinder
 
     shape: Literal["circle"]
-    facets: Annotated[int, Field(ge=3, le=10_000)] = 360
+    facets: Annotated[int, Field(ge=3, le=10_000, description="flat sides that stand for the round one")] = 360
 
     def form(self, size_m: float, random: np.random.Generator) -> dict[str, Any]:
         """The diameter is the size."""
@@ -132,7 +134,7 @@ class StarFamily(Family):
     makes: ClassVar = Star
 
     shape: Literal["star"]
-    points: Annotated[Whole, bounded(least=3, most=100)] = 5
+    points: Annotated[Whole, bounded(least=3, most=100)] = Field(5, description="number of tips")
     inner_ratio: Annotated[Real, bounded(above=0, below=1)] = Field(description="inner over outer radius")
 
     def form(self, size_m: float, random: np.random.Generator) -> dict[str, Any]:
@@ -147,7 +149,7 @@ class PolygonFamily(Family):
     makes: ClassVar = Polygon
 
     shape: Literal["polygon"]
-    corners: Annotated[Whole, bounded(least=3, most=100)] = 6
+    corners: Annotated[Whole, bounded(least=3, most=100)] = Field(6, description="number of corners")
     roughness: Annotated[Real, bounded(least=0, most=0.95)] = Field(
         0.5, description="radii of the corners are uniform between 1 - roughness and 1 times the largest"
     )
@@ -168,7 +170,7 @@ class SmoothFamily(Family):
     roughness: Annotated[Real, bounded(least=0, most=0.95)] = Field(
         0.5, description="the terms' amplitudes add up to this share of the mean radius"
     )
-    facets: Annotated[int, Field(ge=12, le=2000)] = 120
+    facets: Annotated[int, Field(ge=12, le=2000, description="flat sides that stand for the smooth outline")] = 120
 
     def form(self, size_m: float, random: np.random.Generator) -> dict[str, Any]:
         """The outermost point is at half the size."""

@@ -43,7 +43,7 @@ SWEEPS = "sweeps"
 class MeasurementSettings(SynthesisSettings):
     """A synthetic measurement: a scene is traced and written as a laboratory's files, from which all else is made."""
 
-    scene: str
+    scene: str = Field(description="a scene file, traced and written as a laboratory's files")
 
 
 class ProcessSettings(Settings):
@@ -53,9 +53,11 @@ class ProcessSettings(Settings):
     ``scene`` (traced and imaged directly).
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w-]*$")]
-    description: str = ""
-    measurement: MeasurementSettings | None = None
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w-]*$", description="of the results' folder")]
+    description: str = Field("", description="title of the figures")
+    measurement: MeasurementSettings | None = Field(
+        None, description="synthetic measurement that makes the files first"
+    )
     source: ImportSettings | None = Field(None, alias="import", description="as in mvla import")
     scene: str | None = Field(None, description="a scene file, traced and imaged without any file between")
     imaging: ImagingSettings = ImagingSettings()

@@ -20,8 +20,8 @@ ItuMaterial = Literal[
 class CustomMaterial(Settings):
     """A homogeneous material by its constants; independent of frequency."""
 
-    relative_permittivity: Annotated[float, Field(ge=1)]
-    conductivity_s_per_m: NonNegativeFloat = 0.0
+    relative_permittivity: Annotated[float, Field(ge=1, description="real part, relative to vacuum")]
+    conductivity_s_per_m: NonNegativeFloat = Field(0.0, description="in S/m")
 
 
 Material = ItuMaterial | CustomMaterial

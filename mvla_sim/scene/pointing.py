@@ -29,8 +29,10 @@ class PointingSettings(Settings):
     ``azimuth_deg[,elevation_deg]`` sets it view by view and wins over both.
     """
 
-    aim_m: tuple[float, float, float] | None = None
-    azimuth_deg: float | None = None
+    aim_m: tuple[float, float, float] | None = Field(
+        None, description="point that boresight is directed at, x, y and z; by default the centre of the trajectory"
+    )
+    azimuth_deg: float | None = Field(None, description="fixed direction of boresight instead")
     elevation_deg: Annotated[float, Field(gt=-90, lt=90, description="tilt above the horizontal")] = 0.0
 
     @model_validator(mode="after")

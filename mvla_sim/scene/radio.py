@@ -16,8 +16,8 @@ __all__ = ["RadioSettings", "RayTracingSettings"]
 class RadioSettings(Settings):
     """Carrier, bandwidth, polarisation and antennas of the sensor."""
 
-    carrier_hz: PositiveFloat = 36e9
-    bandwidth_hz: PositiveFloat = 3e9
+    carrier_hz: PositiveFloat = Field(36e9, description="centre of the band")
+    bandwidth_hz: PositiveFloat = Field(3e9, description="B; the range resolution is c/(2B)")
     polarization: Literal["V", "H"] = "V"
     antenna: Annotated[Antenna, ANTENNAS] = Field(Omni(), description="pattern of both antennas: omni, horn or file")
 
@@ -31,15 +31,17 @@ class RadioSettings(Settings):
 class RayTracingSettings(Settings):
     """What Sionna RT traces, and with how many rays."""
 
-    specular: bool = True
-    diffuse: bool = True
-    diffraction: bool = True
+    specular: bool = Field(True, description="trace reflections")
+    diffuse: bool = Field(True, description="trace diffuse scattering")
+    diffraction: bool = Field(True, description="trace diffraction at edges")
     max_depth: Annotated[int, Field(ge=1, le=20, description="interactions a path may have")] = 1
-    diffuse_rays: Annotated[int, Field(ge=1, le=100_000_000)] = 6000
-    specular_rays: Annotated[int, Field(ge=1, le=100_000_000)] = 20_000
+    diffuse_rays: Annotated[int, Field(ge=1, le=100_000_000, description="rays a view for diffuse scattering")] = 6000
+    specular_rays: Annotated[
+        int, Field(ge=1, le=100_000_000, description="rays a view for reflections and diffraction")
+    ] = 20_000
     launch: Literal["sector", "sphere"] = Field("sector", description="rays only towards the objects, or all around")
     max_paths: PositiveInt = Field(1_000_000, description="cap on the paths of one view; reaching it is an error")
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 1
+    seed: Annotated[int, Field(ge=0, lt=2**31, description="of the ray tracer, and of the phases of diffuse paths")] = 1
 
     @model_validator(mode="after")
     def _check(self) -> RayTracingSettings:

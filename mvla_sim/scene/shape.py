@@ -34,14 +34,22 @@ class Shape(Kind):
 
     kinds: ClassVar[Kinds[Any]] = SHAPES
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][\w-]*$")] | None = None
-    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][\w-]*$")] | None = Field(
+        None, description="of the object; by default that of the shape, numbered"
+    )
+    position_m: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="where the shape's own origin is put, x, y and z"
+    )
     rotation_deg: float = Field(0.0, description="about the vertical axis, counter-clockwise")
-    material: Material = "metal"
-    thickness_m: PositiveFloat = 0.1
-    scattering_coefficient: Annotated[float, Field(ge=0, le=1)] = 0.1
+    material: Material = Field("metal", description="ITU-R P.2040 name, or permittivity and conductivity")
+    thickness_m: PositiveFloat = Field(0.1, description="of the material, which decides how much passes through")
+    scattering_coefficient: Annotated[
+        float, Field(ge=0, le=1, description="share of the reflected field's amplitude that is scattered diffusely")
+    ] = 0.1
     scattering_pattern: ScatteringPattern = ScatteringPattern()
-    xpd_coefficient: Annotated[float, Field(ge=0, le=1)] = 0.0
+    xpd_coefficient: Annotated[
+        float, Field(ge=0, le=1, description="share of scattered power that changes polarization")
+    ] = 0.0
 
     def own_parts(self, key: str = "object") -> dict[str, trimesh.Trimesh]:
         """Meshes in the object's own frame, metres, a new one at each call; each kind of shape has its own.
@@ -93,7 +101,7 @@ class Shape(Kind):
 class Prism(Shape):
     """A vertical prism over an outline, centred on its position."""
 
-    height_m: PositiveFloat = 2.0
+    height_m: PositiveFloat = Field(2.0, description="from bottom to top")
 
     def corners(self) -> ArrayLike:
         """Corners of the outline in order, in either sense, ``[n_corner, 2]`` metres; each kind has its own."""

@@ -36,9 +36,11 @@ ON_SURFACE_M: Final = 1e-6
 class SceneSettings(Settings):
     """One scene file: everything that decides a channel impulse response."""
 
-    name: Annotated[str, Field(min_length=1)]
-    description: str = ""
-    objects: Annotated[tuple[Annotated[Shape, SHAPES], ...], Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1, description="of the scene, in files and figures")]
+    description: str = Field("", description="for readers of the file")
+    objects: Annotated[
+        tuple[Annotated[Shape, SHAPES], ...], Field(min_length=1, description="what the target consists of")
+    ]
     trajectory: Annotated[Trajectory, TRAJECTORIES] = Circle()
     radio: RadioSettings = RadioSettings()
     ray_tracing: RayTracingSettings = RayTracingSettings()

@@ -16,9 +16,23 @@ class PatternCuts(Antenna):
     """The two cuts of a pattern as channel files carry them, so that they do without its file."""
 
     kind: Literal["cuts"] = "cuts"
-    azimuth_db: Annotated[tuple[float, ...], Field(min_length=len(AZIMUTHS_DEG), max_length=len(AZIMUTHS_DEG))]
-    elevation_db: Annotated[tuple[float, ...], Field(min_length=len(ELEVATIONS_DEG), max_length=len(ELEVATIONS_DEG))]
-    gain_dbi: float
+    azimuth_db: Annotated[
+        tuple[float, ...],
+        Field(
+            min_length=len(AZIMUTHS_DEG),
+            max_length=len(AZIMUTHS_DEG),
+            description="level relative to boresight over azimuth, −180° to 180°",
+        ),
+    ]
+    elevation_db: Annotated[
+        tuple[float, ...],
+        Field(
+            min_length=len(ELEVATIONS_DEG),
+            max_length=len(ELEVATIONS_DEG),
+            description="level relative to boresight over elevation, −90° to 90°",
+        ),
+    ]
+    gain_dbi: float = Field(description="at boresight")
 
     def pattern(self) -> AntennaPattern:
         """Pattern of the cuts."""

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from mvla_sim.errors import DataError
 from mvla_sim.scene.antenna import AZIMUTHS_DEG, ELEVATIONS_DEG, Antenna, AntennaPattern, PeakGain
@@ -19,7 +20,7 @@ class PatternFile(Antenna):
     """A measured pattern: a CSV file with columns ``angle_deg,azimuth_db[,elevation_db]``, one cut a plane."""
 
     kind: Literal["file"] = "file"
-    file: str
+    file: str = Field(description="CSV file of the pattern's cuts, beside the scene file")
     gain_dbi: PeakGain = None
 
     def pattern(self) -> AntennaPattern:

@@ -83,12 +83,12 @@ class Car(Shape):
     """A car that stands on its position, front towards +x; ``material`` is that of its sheet metal."""
 
     shape: Literal["car"] = "car"
-    length_m: Annotated[float, Field(ge=3, le=6)] = 4.22
+    length_m: Annotated[float, Field(ge=3, le=6, description="bumper to bumper")] = 4.22
     width_m: Annotated[float, Field(ge=1.4, le=2.4, description="without the mirrors")] = 1.76
-    height_m: Annotated[float, Field(ge=1.2, le=2.4)] = 1.60
-    glass: Material = "glass"
-    glass_thickness_m: Annotated[float, Field(gt=0, le=0.1)] = 0.005
-    tyres: Material = RUBBER
+    height_m: Annotated[float, Field(ge=1.2, le=2.4, description="road to roof")] = 1.60
+    glass: Material = Field("glass", description="material of the windows")
+    glass_thickness_m: Annotated[float, Field(gt=0, le=0.1, description="of the windows")] = 0.005
+    tyres: Material = Field(RUBBER, description="material of the tyres")
 
     def own_parts(self, key: str = "object") -> dict[str, trimesh.Trimesh]:
         """Meshes of the parts: front towards +x, standing on z = 0, the car's middle at x = y = 0.

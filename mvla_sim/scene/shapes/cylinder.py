@@ -28,8 +28,8 @@ class Cylinder(Prism):
     """
 
     shape: Literal["circle"] = "circle"
-    radius_m: PositiveFloat = 4.0
-    facets: Annotated[int, Field(ge=3, le=100_000)] = 360
+    radius_m: PositiveFloat = Field(4.0, description="of the circle")
+    facets: Annotated[int, Field(ge=3, le=100_000, description="flat sides that stand for the round one")] = 360
 
     @property
     def nominal_extent_m(self) -> float:

@@ -28,8 +28,8 @@ class MeshFile(Shape):
     """A mesh read from a file (PLY, OBJ, STL, GLB, …), scaled, turned and placed; metres after scaling."""
 
     shape: Literal["mesh"] = "mesh"
-    file: str
-    scale: PositiveFloat = 1.0
+    file: str = Field(description="PLY, OBJ, STL, GLB or OFF, beside the scene file")
+    scale: PositiveFloat = Field(1.0, description="metres per unit of the file")
     up: Literal["z", "y"] = Field("z", description="which axis of the file points up")
 
     def own_parts(self, key: str = "object") -> dict[str, trimesh.Trimesh]:

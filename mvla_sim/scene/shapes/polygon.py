@@ -16,7 +16,9 @@ class Polygon(Prism):
     """Any simple polygon by its vertices, in order."""
 
     shape: Literal["polygon"] = "polygon"
-    vertices_m: Annotated[tuple[tuple[float, float], ...], Field(min_length=3)]
+    vertices_m: Annotated[
+        tuple[tuple[float, float], ...], Field(min_length=3, description="corners, x and y, in either direction")
+    ]
 
     def corners(self) -> ArrayLike:
         """As given, in either sense of rotation."""

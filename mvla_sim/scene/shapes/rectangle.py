@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import PositiveFloat
+from pydantic import Field, PositiveFloat
 
 from mvla_sim.scene.shape import Prism
 
@@ -17,8 +17,8 @@ class Rectangle(Prism):
     """A rectangle, length along x and width along y."""
 
     shape: Literal["rectangle"] = "rectangle"
-    length_m: PositiveFloat
-    width_m: PositiveFloat
+    length_m: PositiveFloat = Field(description="along x")
+    width_m: PositiveFloat = Field(description="along y")
 
     def corners(self) -> ArrayLike:
         """Its four corners."""

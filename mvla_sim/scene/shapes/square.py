@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from numpy.typing import ArrayLike
-from pydantic import PositiveFloat
+from pydantic import Field, PositiveFloat
 
 from mvla_sim.scene.shape import Prism
 from mvla_sim.scene.shapes.rectangle import box
@@ -23,7 +23,7 @@ class Square(Prism):
     """
 
     shape: Literal["square"] = "square"
-    side_m: PositiveFloat = 8.0
+    side_m: PositiveFloat = Field(8.0, description="length of a side")
 
     @property
     def nominal_extent_m(self) -> float:

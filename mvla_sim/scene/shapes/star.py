@@ -23,9 +23,11 @@ class Star(Prism):
     """
 
     shape: Literal["star"] = "star"
-    points: Annotated[int, Field(ge=3, le=1000)] = 5
-    radius_m: PositiveFloat = 4.0
-    inner_radius_m: PositiveFloat | None = None
+    points: Annotated[int, Field(ge=3, le=1000, description="number of tips")] = 5
+    radius_m: PositiveFloat = Field(4.0, description="from the centre to a tip")
+    inner_radius_m: PositiveFloat | None = Field(
+        None, description="from the centre to a notch; by default that of the regular star polygon"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Star:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import PositiveFloat
+from pydantic import Field, PositiveFloat
 
 from mvla_sim.scene.shape import Prism
 
@@ -18,7 +18,7 @@ class Triangle(Prism):
     """An equilateral triangle by its altitude, centroid at its position, one tip towards +y."""
 
     shape: Literal["triangle"] = "triangle"
-    altitude_m: PositiveFloat = 6.0
+    altitude_m: PositiveFloat = Field(6.0, description="of the equilateral triangle")
 
     @property
     def nominal_extent_m(self) -> float:

@@ -6,7 +6,7 @@ import math
 from typing import Literal
 
 import numpy as np
-from pydantic import PositiveFloat, model_validator
+from pydantic import Field, PositiveFloat, model_validator
 
 from mvla_sim.scene.trajectory import Interval, Trajectory, views_on_circle
 from mvla_sim.scene.views import Views
@@ -21,12 +21,12 @@ class Arc(Trajectory):
     """
 
     kind: Literal["arc"] = "arc"
-    radius_m: PositiveFloat = 10.0
-    start_deg: float
-    stop_deg: float
-    interval_deg: Interval = 1.0
-    center_m: tuple[float, float] = (0.0, 0.0)
-    height_m: float = 0.0
+    radius_m: PositiveFloat = Field(10.0, description="from the centre to the sensor")
+    start_deg: float = Field(description="azimuth of the first view")
+    stop_deg: float = Field(description="azimuth of the last view, if the interval meets it")
+    interval_deg: Interval = Field(1.0, description="between views")
+    center_m: tuple[float, float] = Field((0.0, 0.0), description="of the circle, x and y")
+    height_m: float = Field(0.0, description="z of the sensor")
 
     @model_validator(mode="after")
     def _check(self) -> Arc:

@@ -17,11 +17,11 @@ class Circle(Trajectory):
     """A full circle; the interval must divide 360°. Views are at start + k·interval, for one turn a height."""
 
     kind: Literal["circle"] = "circle"
-    radius_m: PositiveFloat = 10.0
-    interval_deg: Interval = 1.0
-    start_deg: float = 0.0
-    center_m: tuple[float, float] = (0.0, 0.0)
-    height_m: float = 0.0
+    radius_m: PositiveFloat = Field(10.0, description="from the centre to the sensor")
+    interval_deg: Interval = Field(1.0, description="between views; divides 360")
+    start_deg: float = Field(0.0, description="azimuth of the first view")
+    center_m: tuple[float, float] = Field((0.0, 0.0), description="of the circle, x and y")
+    height_m: float = Field(0.0, description="z of the sensor")
     heights_m: Heights = Field(None, description="instead of height_m: the whole circle once at each height")
 
     @model_validator(mode="after")

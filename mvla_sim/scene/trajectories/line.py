@@ -17,9 +17,9 @@ class Line(Trajectory):
     """Evenly spaced positions on a straight line, both ends included."""
 
     kind: Literal["line"] = "line"
-    start_m: tuple[float, float, float]
-    stop_m: tuple[float, float, float]
-    views: Annotated[int, Field(ge=2)]
+    start_m: tuple[float, float, float] = Field(description="first view, x, y and z")
+    stop_m: tuple[float, float, float] = Field(description="last view, x, y and z")
+    views: Annotated[int, Field(ge=2, description="number of views, evenly spaced, both ends included")]
 
     @model_validator(mode="after")
     def _check(self) -> Line:

@@ -23,8 +23,8 @@ class Poses(Trajectory):
     """
 
     kind: Literal["poses"] = "poses"
-    sensor_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    file: str | None = None
+    sensor_m: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="in the frame of what moves, x, y and z")
+    file: str | None = Field(None, description="CSV file of the poses instead, beside the scene file")
     poses: tuple[tuple[float, float, float], ...] | None = Field(
         None, description="x and y in metres, heading in degrees"
     )

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from mvla_sim.errors import ConfigError
 from mvla_sim.scene.columns import PLACE, RECEIVER, Columns, read_columns
@@ -25,8 +25,10 @@ class Positions(Trajectory):
     """
 
     kind: Literal["positions"] = "positions"
-    file: str | None = None
-    positions_m: tuple[tuple[float, float, float], ...] | None = None
+    file: str | None = Field(None, description="CSV file of positions, beside the scene file")
+    positions_m: tuple[tuple[float, float, float], ...] | None = Field(
+        None, description="positions, x, y and z each, instead of a file"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Positions:

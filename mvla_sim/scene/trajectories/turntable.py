@@ -27,9 +27,9 @@ class Turntable(Trajectory):
     """
 
     kind: Literal["turntable"] = "turntable"
-    sensor_m: tuple[float, float, float] = (10.0, 0.0, 0.0)
-    interval_deg: Interval = 1.0
-    axis_m: tuple[float, float] = (0.0, 0.0)
+    sensor_m: tuple[float, float, float] = Field((10.0, 0.0, 0.0), description="fixed, x, y and z")
+    interval_deg: Interval = Field(1.0, description="turn of the target between views; divides 360")
+    axis_m: tuple[float, float] = Field((0.0, 0.0), description="that the target turns about, x and y")
     heights_m: Heights = Field(None, description="instead of the sensor's z: a whole turn at each height")
 
     @model_validator(mode="after")
