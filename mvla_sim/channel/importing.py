@@ -50,12 +50,16 @@ class GeometrySettings(Settings):
     angle before a fixed sensor (a turntable); ``"sensor"``: the sensor stands in that direction.
     """
 
-    angles: Literal["target", "sensor"] = "target"
+    angles: Literal["target", "sensor"] = Field(
+        "target", description="angles are of the turning target, or of the sensor"
+    )
     radius_m: PositiveFloat | None = Field(None, description="horizontal distance from centre to sensor")
     height_m: float = Field(0.0, description="height of the sensor in the target's frame")
     zero_deg: float = Field(0.0, description="direction of the sensor from the centre where the angle is 0")
     clockwise: bool = Field(False, description="angles are counted clockwise")
-    center_m: tuple[float, float] = (0.0, 0.0)
+    center_m: tuple[float, float] = Field(
+        (0.0, 0.0), description="that the sensor goes about, or the target turns about, x and y"
+    )
     pair_separation_m: NonNegativeFloat = Field(0.0, description="distance of transmitter and receiver, side by side")
     pointing: PointingSettings = PointingSettings()
     positions: str | None = Field(
@@ -73,7 +77,7 @@ class ImportSettings(Settings):
 
     source: str = Field(description="folder or file")
     kind: str | None = Field(None, description="reader; by default told from the source's name and contents")
-    name: str | None = None
+    name: str | None = Field(None, description="of the measurement; by default that of the source")
     geometry: GeometrySettings = GeometrySettings()
     antenna: Annotated[Antenna, ANTENNAS] = Field(Omni(), description="pattern of both antennas: omni, horn or file")
     sweeps: TouchstoneFolder = Field(TouchstoneFolder(), description="of touchstone")

@@ -50,8 +50,10 @@ class BackgroundSettings(Settings):
     such as the leakage from antenna to antenna: the background is turned to each view's phase there.
     """
 
-    file: str
-    align_m: Gate | None = None
+    file: str = Field(description="sweep without the target")
+    align_m: Gate | None = Field(
+        None, description="measured ranges at which its phase is turned to each view's; by default none"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> BackgroundSettings:
@@ -66,8 +68,8 @@ class ReferenceSettings(Settings):
     of a sphere of radius a, R to the nearest point of its surface; that is the radar equation where R is much larger.
     """
 
-    file: str
-    kind: Literal["sphere", "plate"]
+    file: str = Field(description="sweep of the reference target")
+    kind: Literal["sphere", "plate"] = Field(description="of the reference target")
     range_m: PositiveFloat = Field(description="from the middle of the antennas to the nearest point of the target")
     radius_m: PositiveFloat | None = Field(None, description="of the sphere")
     background: str | None = Field(None, description="sweep without the reference; by default background.file")

@@ -41,8 +41,12 @@ class TouchstoneFolder(Reader):
         "{angle}", description="where a file's name says its angle, as in car_{angle}deg.s2p"
     )
     angle_file: str | None = Field(None, description="or a CSV file with the columns file,angle_deg")
-    background: BackgroundSettings | None = None
-    reference: ReferenceSettings | None = None
+    background: BackgroundSettings | None = Field(
+        None, description="sweep without the target, subtracted from every view"
+    )
+    reference: ReferenceSettings | None = Field(
+        None, description="sweep of a target of known cross-section, for delay and gain"
+    )
 
     @classmethod
     def recognises(cls, source: Path) -> bool:
