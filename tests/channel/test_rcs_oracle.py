@@ -34,22 +34,13 @@ def cir():
     world.add(rt.Receiver("rx", position=[6.0, 0.0, 0.0]))
     solver = RCSSolver(deterministic=True)
     views = ring_views(24)
-    gain, delay = [], []
+    found = []
     for position in views.positions_m:
         place = mi.Point3f(*map(float, position))
         world.get("tx").position = place
         world.get("rx").position = place
-        paths = solver(world, max_depth=1, samples_per_sp=100, buffer_size_per_sp=100, seed=1)
-        tau = paths.tau.numpy().astype(np.float64).reshape(-1)
-        amplitude = paths.a[0].numpy().reshape(-1) + 1j * paths.a[1].numpy().reshape(-1)
-        gain.append(amplitude * np.exp(-2j * np.pi * CARRIER * tau))
-        delay.append(tau)
-    rows = np.array([d.size for d in delay], np.int64)
-    count = int(rows.sum())
-    return Cir(
-        np.concatenate(gain).astype(np.complex64), np.concatenate(delay), np.zeros(count, np.uint8),
-        np.full((count, 3), np.nan, np.float32), rows, views=views, carrier_hz=CARRIER, bandwidth_hz=3e9, extent_m=1.0,
-    )  # fmt: skip
+        found.append(solver(world, max_depth=1, samples_per_sp=100, buffer_size_per_sp=100, seed=1))
+    return Cir.from_sionna(found, views.positions_m, carrier_hz=CARRIER, bandwidth_hz=3e9, extent_m=1.0)
 
 
 def test_delay_and_gain_follow_the_radar_equation(cir):
