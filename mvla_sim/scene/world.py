@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import itertools
 import json
@@ -183,6 +184,12 @@ class Scene:
         count = len(self.settings.objects)
         objects = f"{count} object{'s' * (count > 1)}"
         return f"Scene('{self.name}': {objects}, {len(self.views)} views, extent {self.extent_m:.2f} m)"
+
+    def select(self, indices: NDArray[np.intp]) -> Scene:
+        """The same scene, looked at from some of its views, by their numbers."""
+        part = copy.copy(self)
+        object.__setattr__(part, "views", self.views.select(indices))
+        return part
 
     def fingerprint(self) -> str:
         """SHA-256, in hexadecimal, over everything that decides a channel.
