@@ -39,7 +39,8 @@ class Kind(Settings):
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
         super().__pydantic_init_subclass__(**kwargs)
         name = cls.kinds.name_of(cls)
-        if name is not None:
+        inherited = {cls.kinds.name_of(base) for base in cls.__mro__[1:] if issubclass(base, Kind) and base is not Kind}
+        if name is not None and name not in inherited:
             cls.kinds.add(name, cls)
 
 
@@ -175,7 +176,8 @@ class Kinds(Generic[K]):
         except ConfigError as error:
             raise self._of_key(named, str(error)) from error
         if model is None:
-            message = f"missing key; allowed: {', '.join(self.names())}" if named is None else "must be a name"
+            missing = f"missing key '{self.key}'; allowed: {', '.join(self.names())}"
+            message = missing if named is None else "must be a name"
             raise self._of_key(named, message)
         if mode == "json":
             return model.model_validate_json(json.dumps(value), strict=True)

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from mvla_sim.imaging.imaging_settings import SHORT_NAMES, EvaluationSettings, ImagingSettings
+from mvla_sim.scene.world import SceneSettings
 from mvla_sim.settings import Settings, apply_overrides, parse, read_toml, resolve_beside
 from mvla_sim.shipped import find
 
@@ -34,10 +35,15 @@ OFFSET = f"imaging.{SHORT_NAMES['offset']}"
 
 
 def dotted_key(axis: str) -> str | None:
-    """Full dotted key of the setting that an axis names; None where it has the form of none."""
+    """Full dotted key of the setting that an axis names; None where it has the form of none.
+
+    Settings of a scene need no ``scene.`` in front: ``trajectory.interval_deg`` is one.
+    """
     if axis in SHORT_NAMES:
         return f"imaging.{SHORT_NAMES[axis]}"
     block, _, rest = axis.partition(".")
+    if block in SceneSettings.model_fields and (rest or block in ("plane_height_m", "outline")):
+        return f"scene.{axis}"
     return axis if rest and block in ("imaging", "evaluation", "scene") else None
 
 

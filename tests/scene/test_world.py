@@ -13,8 +13,14 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import mvla_sim as mv
 from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.scene.antennas import horn
+from mvla_sim.scene.shapes.cylinder import Cylinder
+from mvla_sim.scene.shapes.polygon import Polygon
+from mvla_sim.scene.shapes.star import Star
 from mvla_sim.scene.world import Scene, SceneSettings
+from mvla_sim.sweep.experiment import dotted_key
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
 SECTION = 1e-6  # share of the area: what a cross-section may lose by joining points within 1e-7 of the size
@@ -188,6 +194,22 @@ def test_fingerprint_ignores_names_and_sees_everything_else():
     assert len({base, *(v.fingerprint() for v in variants)}) == len(variants) + 1
 
 
+@pytest.mark.parametrize("shape", [Star(), Cylinder(), Polygon(vertices_m=((0, 0), (2, 0), (0, 2)))], ids=repr)
+def test_fingerprint_follows_the_code_of_a_built_in_shape(shape, monkeypatch):
+    """A cached channel of what a shape once was is none of what it is now."""
+    first = Scene(objects=[shape]).fingerprint()
+    assert first == Scene(objects=[shape]).fingerprint()
+    corners = type(shape).corners
+    monkeypatch.setattr(type(shape), "corners", lambda self: np.asarray(corners(self)) * 1.001)
+    assert first != Scene(objects=[shape]).fingerprint()
+
+
+def test_fingerprint_follows_the_code_of_an_antenna(monkeypatch):
+    first = scene(radio={"antenna": {"kind": "horn"}}).fingerprint()
+    monkeypatch.setattr(horn, "HALF_POWER_DB", 3.0)
+    assert first != scene(radio={"antenna": {"kind": "horn"}}).fingerprint()
+
+
 def test_fingerprint_follows_a_meshs_content_and_not_its_place(tmp_path):
     def of(path):
         return scene({"shape": "mesh", "file": str(path)}).fingerprint()
@@ -226,3 +248,76 @@ def test_files_are_found_beside_the_scene_and_overrides_apply(tmp_path):
     assert world.outline.area == pytest.approx(24, rel=SECTION)
     assert world.extent_m == pytest.approx(math.hypot(4, 6), rel=SECTION)
     assert len(world.views) == 2
+
+
+def test_a_scene_is_built_from_objects_or_plain_data_or_both():
+    file = load("star")
+    made = [
+        mv.Scene(objects=[mv.Star(radius_m=4)], trajectory=mv.Circle(radius_m=10, start_deg=1.0), name="star"),
+        mv.Scene(objects=mv.Star(radius_m=4), trajectory={"start_deg": 1.0}),
+        mv.Scene({"objects": [{"shape": "star"}], "trajectory": mv.Circle(start_deg=1.0)}),
+        mv.Scene({"objects": [{"shape": "star", "radius_m": np.int64(4)}]}, trajectory={"start_deg": 1.0}),
+        mv.Scene(file.settings),
+        mv.Scene(file.settings, objects=[mv.Star(radius_m=4)]),
+    ]
+    assert {world.name for world in made} == {"star", "scene"}
+    start = mv.Scene(file.settings, trajectory=mv.Circle(start_deg=1.0)).fingerprint()
+    assert {world.fingerprint() for world in made[:4]} == {start}
+    assert {world.fingerprint() for world in made[4:]} == {file.fingerprint()}
+
+
+@pytest.mark.parametrize(
+    ("build", "says"),
+    [
+        (
+            lambda: mv.Scene(objects=[mv.Circle()]),
+            "scene: objects[0]: Circle is a trajectory and is no shape; allowed: ",
+        ),
+        (lambda: mv.Scene(objects=[mv.Star()], trajectory=mv.Star()), "scene: trajectory: Star is a shape and is no "),
+        (lambda: mv.Scene(objects=["star"]), "scene: objects[0] = 'star': is no shape; allowed: Car, Cylinder, "),
+        (mv.Scene, "scene: objects: missing key"),
+        (lambda: mv.Scene("star"), "scene: str is no scene; give a table or objects=[…]; for a file: Scene.load"),
+        (lambda: mv.Scene(objects=[mv.Star()], radio={"carrier_hz": -1}), "scene: radio.carrier_hz = -1: "),
+        (lambda: mv.Scene(objects=[mv.Star()], trajectroy=1), "scene: trajectroy: unknown key (did you mean 'traj"),
+        (lambda: mv.Scene(objects=[mv.Star()], trajectory=mv.Circle(radius_m=1)), "scene: trajectory: view 0 at "),
+    ],
+)
+def test_what_is_no_scene_is_told_in_one_line(build, says):
+    with pytest.raises(mv.MvlaError) as caught:
+        build()
+    assert str(caught.value).startswith(says)
+    assert len(str(caught.value).splitlines()) == 1
+    assert isinstance(caught.value, ValueError)
+
+
+def test_scenes_show_themselves_on_one_short_line():
+    world = load("vehicle")
+    for thing in (world, world.objects[0], world.views, world.settings, world.settings.radio.antenna.pattern()):
+        assert len(str(thing).splitlines()) == 1
+        assert len(str(thing)) < 450
+    assert str(load("star")) == "Scene('star': 1 object, 360 views, extent 7.61 m)"
+    assert str(load("star").views) == "Views(360, 10 to 10 m from (0, 0))"
+
+
+def test_scenes_and_views_compare_by_identity():
+    one, other = scene(), scene()
+    for a, b in ((one, other), (one.views, other.views), (one.objects[0], other.objects[0])):
+        assert a == a  # noqa: PLR0124 - arrays inside must not be compared
+        assert a != b
+        assert len({a, b}) == 2
+    assert one.settings == other.settings
+    assert hash(one.settings) == hash(other.settings)
+
+
+def test_a_scene_may_be_called_none(tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text('name = "none"\ndescription = "none"\n[[objects]]\nshape = "star"\ninner_radius_m = "none"\n')
+    world = Scene.load(file, ["trajectory.heights_m=none"])
+    assert (world.name, world.settings.description) == ("none", "none")
+    assert (world.settings.objects[0].inner_radius_m, world.settings.trajectory.heights_m) == (None, None)
+
+
+@pytest.mark.parametrize("key", ["objects.0.radius_m", "scene.objects.0.radius_m"])
+def test_overrides_have_the_names_of_axes(key):
+    assert load("star", f"{key}=3").settings.objects[0].radius_m == 3
+    assert dotted_key(key) == "scene.objects.0.radius_m"
