@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from mvla_sim.cli.options import note, out, say, show, wrote
+from mvla_sim.cli.options import note, say, show, wrote
 
 __all__ = ["machine_app"]
 
@@ -18,10 +18,21 @@ machine_app = typer.Typer()
 
 @machine_app.command()
 def doctor() -> None:
-    """Check this machine: backend, libLLVM, packages, memory, and a one-ray smoke trace."""
-    from mvla_sim.engine.doctor import report
+    """Check this machine: backend, libLLVM, packages, memory, and a one-ray smoke trace; 2 where it is unfit."""
+    from mvla_sim.engine.doctor import collect
 
-    raise typer.Exit(report(out))
+    facts = collect()
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(style="bold")
+    table.add_column()
+    for name, value in facts.rows:
+        table.add_row(name, value)
+    show(table)
+    for problem in facts.problems:
+        say(f"unfit: {problem}")
+    if not facts.problems:
+        say("This machine is fit.")
+    raise typer.Exit(2 if facts.problems else 0)
 
 
 @machine_app.command()

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import psutil
-from rich.console import Console
-from rich.table import Table
 
 from mvla_sim.engine import backend as backends
 from mvla_sim.engine import llvm
@@ -24,7 +22,7 @@ from mvla_sim.engine.cache import cache_folder
 from mvla_sim.engine.machine import core_count, cpu_name, package_versions, program_version
 from mvla_sim.errors import OutputError
 
-__all__ = ["Facts", "Smoke", "collect", "report", "run_smoke"]
+__all__ = ["Facts", "Smoke", "collect", "run_smoke"]
 
 SMOKE_COMMAND: Final = (sys.executable, "-m", "mvla_sim.engine.smoke")
 TIMEOUT_S: Final[float] = 180.0
@@ -99,28 +97,6 @@ def collect(smoke: Smoke | None = None) -> Facts:
         ("cache folder", cache),
     ]
     return Facts(tuple(rows), tuple(problems))
-
-
-def report(console: Console) -> int:
-    """Print the facts and, one line each, what is unfit and how to fix it.
-
-    Returns
-    -------
-    int
-        Exit status: 0 on a fit machine, else 2, as for every error that the user can fix.
-    """
-    facts = collect()
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, value in facts.rows:
-        table.add_row(name, value)
-    console.print(table, markup=False, highlight=False)
-    for problem in facts.problems:
-        console.print(f"unfit: {problem}", markup=False, highlight=False, soft_wrap=True)
-    if not facts.problems:
-        console.print("This machine is fit.", markup=False, highlight=False)
-    return 2 if facts.problems else 0
 
 
 def run_smoke(command: Sequence[str] = SMOKE_COMMAND, timeout_s: float = TIMEOUT_S) -> Smoke:

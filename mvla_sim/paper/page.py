@@ -67,7 +67,7 @@ _BADGES = {"holds": ("holds", "✓ holds"), "does not hold": ("fails", "✗ does
 Figures = Sequence[tuple["Path | Sequence[tuple[bytes, str]]", str]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Section:
     """One part of the page.
 

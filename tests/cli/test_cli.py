@@ -64,7 +64,20 @@ def work(tmp_path_factory):
     (folder / "small.toml").write_text(SCENE)
     mvla("simulate", "small.toml", "-o", "cir.nc", folder=folder)
     mvla("image", "cir.nc", "--snr", "20", *GRID, "-o", "mvla.nc", folder=folder)
-    mvla("image", "cir.nc", "--method", "bp", "--interval", "60", "--offset", "1", *GRID, "-o", "bp.nc", folder=folder)
+    mvla(
+        "image",
+        "cir.nc",
+        "--method",
+        "bp",
+        "--interval-deg",
+        "60",
+        "--offset",
+        "1",
+        *GRID,
+        "-o",
+        "bp.nc",
+        folder=folder,
+    )
     return folder
 
 
@@ -129,7 +142,9 @@ def test_scores(work):
     assert row["protocol"] == "optimal"
     assert row["cd_db"] == row["optimal_cd_db"]
     assert row["cd_db"] < -10  # 10 dB is 0.3 m in both directions: far worse than any image of a 2 m square
-    given = json.loads(mvla("evaluate", "mvla.nc", "--top-percent", "50", "--min-support", "0", "--json", folder=work))
+    given = json.loads(
+        mvla("evaluate", "mvla.nc", "--top-percent", "50", "--min-support-deg", "0", "--json", folder=work)
+    )
     assert given["protocol"] == "given"
     assert given["cd_db"] >= row["cd_db"]
     assert "cd_db" in mvla("evaluate", "bp.nc", folder=work)
@@ -137,7 +152,7 @@ def test_scores(work):
 
 def test_automatic_thresholds_need_no_truth(work):
     """The binary image that is stored is that of the thresholds that ``evaluate`` finds again, and no oracle's."""
-    mvla("image", "cir.nc", "--snr", "20", *GRID, "--threshold", "auto", "-o", "auto.nc", folder=work)
+    mvla("image", "cir.nc", "--snr-db", "20", *GRID, "--threshold", "auto", "-o", "auto.nc", folder=work)
     row = json.loads(mvla("evaluate", "auto.nc", "--threshold", "auto", "--json", folder=work))
     assert row["protocol"] == "auto"
     with h5py.File(work / "auto.nc") as file:

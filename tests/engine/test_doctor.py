@@ -14,9 +14,8 @@ from mvla_sim.engine import doctor, llvm
 OLD = Path("/usr/lib/x86_64-linux-gnu/libLLVM-14.so")
 PROGRAM = """
 import sys
-from rich.console import Console
-from mvla_sim.engine.doctor import report
-sys.exit(report(Console()))
+from mvla_sim.cli.app import run
+sys.exit(run(["doctor"]))
 """
 CRASH = """
 import json, os, sys

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from mvla_sim.measured.process import load_process
+from mvla_sim.paper import reproduce as reproduce_module
 from mvla_sim.paper.reproduce import EXPERIMENTS, MEASURED, QUICK_OVERRIDES, QUICK_SKIPS
 from mvla_sim.scene.world import Scene
 from mvla_sim.sweep.experiment import load_experiment
@@ -98,9 +99,24 @@ def test_everything_runs_and_the_report_can_be_rebuilt_from_what_is_stored(work)
 
 
 def test_missing_experiment_is_refused_before_anything_runs(tmp_path):
-    text = mvla("reproduce", folder=tmp_path, code=2)
-    assert "experiments/main.toml: no such experiment file" in text
+    text = mvla("reproduce", "--experiments", "mine", folder=tmp_path, code=2)
+    assert "mine/main.toml: no such experiment file" in text
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_folder_is_enough(tmp_path, monkeypatch):
+    """The experiments that come with the package are run where none are given, and where nothing else is."""
+    monkeypatch.chdir(tmp_path)
+    started = []
+
+    def run_plan(plan, folder, **_):
+        started.append((plan.experiment.name, len(plan.cases), folder))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(reproduce_module, "run_plan", run_plan)
+    with pytest.raises(KeyboardInterrupt):
+        next(reproduce_module.reproduce(None, Path("results"), cluster=None))
+    assert started == [("main", 144, Path("results/main"))]
 
 
 def test_report_of_nothing_is_refused(tmp_path):
