@@ -34,7 +34,7 @@ def _backend():
     sys.stdout.write(f"\n{found.name} beside {cpu_name()}\n")
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", TWINS)
 def test_kernels_agree_with_their_twins(name):
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", str(HERE / name)]
@@ -43,7 +43,7 @@ def test_kernels_agree_with_their_twins(name):
     sys.stdout.write(f"{name}: {child.stdout.splitlines()[-1]}\n")
 
 
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("stage", ["projection", "tracing"])
 def test_benchmarks_run(stage):
     tables, ratios = (importlib.import_module(f"mvla_sim.bench.{name}") for name in ("cost_tables", "ratios"))
