@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
 from mvla_sim.imaging.methods.registry import title_of
-from mvla_sim.plot.style import COLORS, DOUBLE_COLUMN_IN, figure_style, new_figure, save_figure
+from mvla_sim.plot.style import COLORS, DOUBLE_COLUMN_IN, Given, figure_legend, figure_style, new_figure, save_figure
 from mvla_sim.sweep.plan import Plan
 
 __all__ = ["BESIDE", "LADDER", "ablation_table", "draw_ablation", "markdown", "plot_ablation"]
@@ -48,7 +48,7 @@ def ablation_table(table: pd.DataFrame) -> pd.DataFrame:
     return means.assign(mean=means.mean(axis=1))
 
 
-def plot_ablation(table: pd.DataFrame) -> Figure:
+def plot_ablation(table: pd.DataFrame, *, figure: Given | None = None) -> Figure | Given:
     """Draw CD against the angular interval, a panel a scene, a line a method; means over SNRs and seeds.
 
     Parameters and errors as :func:`ablation_table`; the table has ``interval_deg`` too.
@@ -60,8 +60,8 @@ def plot_ablation(table: pd.DataFrame) -> Figure:
         COLORS[key] for key in ("vermilion", "orange", "purple", "black")
     ]
     with figure_style():
-        figure = new_figure(DOUBLE_COLUMN_IN, 0.42 * DOUBLE_COLUMN_IN)
-        axes = np.atleast_1d(figure.subplots(1, len(scenes), sharey=True))
+        canvas = figure or new_figure(DOUBLE_COLUMN_IN, 0.42 * DOUBLE_COLUMN_IN)
+        axes = np.atleast_1d(canvas.subplots(1, len(scenes), sharey=True))
         for axis, scene in zip(axes, scenes, strict=True):
             part = done[done["scene"] == scene].groupby(["method", "interval_deg"])["cd_db"].mean()
             for name in (one for one in names if one in part.index.get_level_values("method")):
@@ -73,9 +73,8 @@ def plot_ablation(table: pd.DataFrame) -> Figure:
             axis.set_title(scene)
             axis.set_xlabel("Δθ (°)")
         axes[0].set_ylabel("CD (dB m²)")
-        handles, labels = axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    return figure
+        figure_legend(canvas, axes[0].get_legend_handles_labels()[0], columns=4)
+    return canvas
 
 
 def markdown(table: pd.DataFrame, digits: int = 1) -> str:

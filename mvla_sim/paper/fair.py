@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.plot.curves import LINE_COLORS, MARKERS
-from mvla_sim.plot.style import DOUBLE_COLUMN_IN, figure_legend, figure_style, new_figure
+from mvla_sim.plot.style import DOUBLE_COLUMN_IN, Given, figure_legend, figure_style, new_figure
 
 __all__ = ["EXPLAINED", "WAYS", "automatic_cost", "fair_table", "plot_fair"]
 
@@ -137,14 +137,14 @@ def automatic_cost(optimal: pd.DataFrame, automatic: pd.DataFrame) -> pd.DataFra
     return means.assign(mean=means.mean(axis=1, skipna=False)).sort_values("mean")
 
 
-def plot_fair(table: pd.DataFrame) -> Figure:
+def plot_fair(table: pd.DataFrame, *, figure: Given | None = None) -> Figure | Given:
     """Draw :func:`fair_table`: a line a method, a marker a way at its mean CD; beside it the area without any."""
     ways = [name for name in WAYS if name in table]
     areas = [name for name in map(str, table) if name.startswith("ap_") and not name.endswith("rank")]
     place = np.arange(len(table))[::-1]
     with figure_style():
-        figure = new_figure(DOUBLE_COLUMN_IN, 1.0 + 0.22 * len(table))
-        panels = figure.subplots(1, 1 + len(areas), sharey=True, squeeze=False, width_ratios=[3] + [1] * len(areas))[0]
+        canvas = figure or new_figure(DOUBLE_COLUMN_IN, 1.0 + 0.22 * len(table))
+        panels = canvas.subplots(1, 1 + len(areas), sharey=True, squeeze=False, width_ratios=[3] + [1] * len(areas))[0]
         ends = table[ways].astype(float).agg(["min", "max"], axis=1)
         panels[0].hlines(place, ends["min"], ends["max"], color="0.8", lw=1.2, zorder=1)
         for number, way in enumerate(ways):
@@ -161,5 +161,5 @@ def plot_fair(table: pd.DataFrame) -> Figure:
             panel.set_axisbelow(True)
             panel.grid(visible=True, axis="x")
         keys = panels[0].get_legend_handles_labels()[0]
-        figure_legend(figure, keys, "upper")
-    return figure
+        figure_legend(canvas, keys, "upper")
+    return canvas

@@ -17,8 +17,16 @@ from numpy.typing import NDArray
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.image import Image
 from mvla_sim.paper.claims import PAPER_ETA, PAPER_KAPPA
-from mvla_sim.plot.drawing import draw_binary, panel_grid
-from mvla_sim.plot.style import COLORS, DOUBLE_COLUMN_IN, SINGLE_COLUMN_IN, figure_style, new_figure
+from mvla_sim.plot.drawing import Panel, draw_binary, panel_grid
+from mvla_sim.plot.style import (
+    COLORS,
+    DOUBLE_COLUMN_IN,
+    SINGLE_COLUMN_IN,
+    Given,
+    figure_legend,
+    figure_style,
+    new_figure,
+)
 
 __all__ = ["parameter_maps", "plot_cd_panels", "plot_examples", "plot_parameter_maps", "plot_verdicts"]
 
@@ -26,7 +34,7 @@ METHODS = {"mvla-gr": ("MVLA-GR", "blue", "o"), "bp": ("BP", "vermilion", "s")}
 VERDICTS = {"holds": "✓", "does not hold": "✗", "not tested": "–"}
 
 
-def plot_parameter_maps(table: pd.DataFrame, only: str | None = None) -> Figure:
+def plot_parameter_maps(table: pd.DataFrame, only: str | None = None, *, figure: Given | None = None) -> Figure | Given:
     """Draw the smallest CD over κ and η: averaged over the scenes, then each scene, on one colour scale.
 
     Parameters
@@ -36,6 +44,8 @@ def plot_parameter_maps(table: pd.DataFrame, only: str | None = None) -> Figure:
         not finite are left out; a cell that lacks a scene has no average and stays blank.
     only
         Name of a scene, or "average": that map alone, on the colours of all, with its values written into it.
+    figure
+        An empty figure, or part of one, to draw into; by default a new one.
 
     Raises
     ------
@@ -54,8 +64,8 @@ def plot_parameter_maps(table: pd.DataFrame, only: str | None = None) -> Figure:
         raise DataError("parameter maps: no finite CD to draw")
     shown = maps if only is None else {only: maps[only]}
     with figure_style():
-        figure = new_figure(DOUBLE_COLUMN_IN, 2.5) if only is None else new_figure(SINGLE_COLUMN_IN, 3.2)
-        panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+        canvas = figure or new_figure(*((DOUBLE_COLUMN_IN, 2.5) if only is None else (SINGLE_COLUMN_IN, 3.2)))
+        panels = canvas.subplots(1, len(shown), sharey=True, squeeze=False)[0]
         for axes, (name, grid) in zip(panels, shown.items(), strict=True):
             mesh = _draw_parameter_map(
                 axes, grid, (float(np.nanmin(values)), float(np.nanmax(values))), write=only is not None
@@ -63,10 +73,10 @@ def plot_parameter_maps(table: pd.DataFrame, only: str | None = None) -> Figure:
             best = f": {np.nanmin(grid):.1f} dB at best" if np.isfinite(grid).any(axis=None) else ": no value"
             axes.set_title(name + best)
         panels[0].set_ylabel("κ")
-        figure.colorbar(mesh, ax=list(panels), label="Chamfer distance (dB(m²))", pad=0.01)
+        canvas.colorbar(mesh, ax=list(panels), label="Chamfer distance (dB(m²))", pad=0.01)
         keys = [_key("o", "smallest CD"), _key("x", f"paper: κ = {PAPER_KAPPA:g}, η = {PAPER_ETA:g}")]
-        figure.legend(handles=keys, loc="outside lower center", ncols=2)
-    return figure
+        figure_legend(canvas, keys, columns=2)
+    return canvas
 
 
 def parameter_maps(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -78,7 +88,9 @@ def parameter_maps(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
     return {name: pd.DataFrame(column.unstack("eta").sort_index()) for name, column in columns.items()}
 
 
-def plot_cd_panels(table: pd.DataFrame, title: str = "", only: float | None = None) -> Figure:
+def plot_cd_panels(
+    table: pd.DataFrame, title: str = "", only: float | None = None, *, figure: Given | None = None
+) -> Figure | Given:
     """Draw CD against the angular interval, a panel an SNR, for both methods.
 
     Lines are means over offsets and seeds, bands the range from the 10th to the 90th percentile of them.
@@ -91,6 +103,8 @@ def plot_cd_panels(table: pd.DataFrame, title: str = "", only: float | None = No
         Title of the figure.
     only
         Draw the panel of this SNR in dB alone, wider, on the axes of all.
+    figure
+        An empty figure, or part of one, to draw into; by default a new one.
 
     Raises
     ------
@@ -105,8 +119,8 @@ def plot_cd_panels(table: pd.DataFrame, title: str = "", only: float | None = No
         raise DataError(f"CD panels: no finite CD{'' if only is None else f' at {only:g} dB'} to draw")
     with figure_style():
         shown = levels if only is None else [only]
-        figure = new_figure(*((DOUBLE_COLUMN_IN, 2.1) if only is None else (SINGLE_COLUMN_IN, 2.3)))
-        panels = figure.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
+        canvas = figure or new_figure(*((DOUBLE_COLUMN_IN, 2.1) if only is None else (SINGLE_COLUMN_IN, 2.3)))
+        panels = canvas.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
         for axes, snr in zip(panels, shown, strict=True):
             for method, (label, color, marker) in METHODS.items():
                 part = curves[[place[:2] == (snr, method) for place in curves.index]]
@@ -119,17 +133,16 @@ def plot_cd_panels(table: pd.DataFrame, title: str = "", only: float | None = No
         margin = 0.04 * float(curves["high"].max() - curves["low"].min()) or 1.0
         panels[0].set_ylim(float(curves["low"].min()) - margin, float(curves["high"].max()) + margin)
         panels[0].set_ylabel("Chamfer distance (dB(m²))")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+        figure_legend(canvas, panels[0].get_legend_handles_labels()[0], columns=2)
         if title:
-            figure.suptitle(title)
-    return figure
+            canvas.suptitle(title)
+    return canvas
 
 
 def plot_examples(
     images: Sequence[Image], truths: Sequence[NDArray[np.bool_]], occupied: Sequence[NDArray[np.bool_]],
-    labels: Sequence[str], columns: int = 4,
-) -> Figure:  # fmt: skip
+    labels: Sequence[str], *, columns: int = 4, figure: Given | None = None,
+) -> Figure | Given:  # fmt: skip
     """Draw binary reconstructions over the ground truth, ``columns`` a row.
 
     Raises
@@ -141,8 +154,13 @@ def plot_examples(
         raise DataError("examples: images, truths, binary images and labels must be equally many, at least 1")
     rows = -(-len(images) // columns)
     with figure_style():
-        figure, panels = panel_grid(
-            DOUBLE_COLUMN_IN, [images[0].grid] * rows, columns, edges_in=(0.42, 0.12, 0.6, 0.25), gap_in=(0.2, 0.5)
+        canvas, panels = panel_grid(
+            DOUBLE_COLUMN_IN,
+            [images[0].grid] * rows,
+            columns,
+            edges_in=(0.42, 0.12, 0.6, 0.25),
+            gap_in=(0.2, 0.5),
+            figure=figure,
         )
         handles: dict[str, Any] = {}
         flat = [axes for row in panels for axes in row]
@@ -152,24 +170,26 @@ def plot_examples(
             drawn = draw_binary(axes, image, truth, mask, image.grid.shape[0] // 2)
             handles |= {str(handle.get_label()): handle for handle in drawn}
             axes.set_title(label)
-        figure.legend(handles=list(handles.values()), loc="lower center", ncols=4)
-    return figure
+        figure_legend(canvas, list(handles.values()), columns=4)
+    return canvas
 
 
-def plot_verdicts(verdicts: pd.DataFrame) -> Figure:
+def plot_verdicts(verdicts: pd.DataFrame, *, ax: Panel | None = None) -> Figure | Panel:
     """Draw a matrix of verdicts: a row a variant, a column a claim.
 
     Parameters
     ----------
     verdicts
         Index: variants; columns: claims; values ``holds``, ``does not hold`` or ``not tested``.
+    ax
+        Where to draw; by default in a new figure.
     """
     order = list(VERDICTS)
     codes = verdicts.map(order.index).to_numpy()
     colors = ListedColormap([COLORS["sky"], COLORS["orange"], "#EEEEEE"])
     with figure_style():
         figure = new_figure(DOUBLE_COLUMN_IN * 0.75, 0.6 + 0.16 * len(verdicts))
-        axes = figure.subplots()
+        axes = figure.subplots() if ax is None else ax
         axes.imshow(codes, aspect="auto", cmap=colors, vmin=0, vmax=2)
         for (row, column), code in np.ndenumerate(codes):
             axes.text(column, row, VERDICTS[order[code]], ha="center", va="center")
@@ -177,7 +197,7 @@ def plot_verdicts(verdicts: pd.DataFrame) -> Figure:
         axes.set_yticks(range(verdicts.shape[0]), list(verdicts.index))
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
-    return figure
+    return figure if ax is None else ax
 
 
 def _draw_parameter_map(axes: Axes, grid: pd.DataFrame, limits: tuple[float, float], *, write: bool) -> AxesImage:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.methods.registry import title_of
 from mvla_sim.plot.curves import DASHES, LINE_COLORS, MARKERS
-from mvla_sim.plot.style import DOUBLE_COLUMN_IN, figure_legend, figure_style, new_figure, save_figure
+from mvla_sim.plot.style import DOUBLE_COLUMN_IN, Given, figure_legend, figure_style, new_figure, save_figure
 from mvla_sim.sweep.plan import Plan
 
 __all__ = ["SWEPT", "draw_robustness", "plot_robustness", "robustness_curves"]
@@ -55,7 +55,8 @@ def plot_robustness(
     f1: str = "f1_10cm",
     f1_label: str = "F1 at 10 cm",
     title: str = "",
-) -> Figure:
+    figure: Given | None = None,
+) -> Figure | Given:
     """Draw CD above F1 for each impairment of a table, a column of two panels each, a line a method.
 
     Lines are means, bands the range over the seeds. Dotted lines in a panel with a logarithmic axis are the means
@@ -71,6 +72,8 @@ def plot_robustness(
         Column of F1, and its name in the figure.
     title
         Title of the figure.
+    figure
+        An empty figure, or part of one, to draw into; by default a new one.
 
     Raises
     ------
@@ -85,8 +88,8 @@ def plot_robustness(
     measures = {"cd_db": "CD (dB(m²))", "f1": f1_label}
     limits = {measure: _limits(curves, measure) for measure in measures}
     with figure_style():
-        figure = new_figure(DOUBLE_COLUMN_IN * max(2, columns) / COLUMNS, 0.5 + 2.7 * blocks)
-        panels = figure.subplots(2 * blocks, columns, squeeze=False)
+        canvas = figure or new_figure(DOUBLE_COLUMN_IN * max(2, columns) / COLUMNS, 0.5 + 2.7 * blocks)
+        panels = canvas.subplots(2 * blocks, columns, squeeze=False)
         for place, name in enumerate(names):
             block, column = divmod(place, columns)
             part = curves[curves["impairment"] == name]
@@ -105,11 +108,11 @@ def plot_robustness(
             Line2D([], [], color=_color(number), ls=_dash(number), marker=_marker(number), label=title_of(method))
             for number, method in enumerate(methods)
         ]
-        figure_legend(figure, keys)
-        figure.align_ylabels(panels[:, 0])
+        figure_legend(canvas, keys)
+        canvas.align_ylabels(panels[:, 0])
         if title:
-            figure.suptitle(title)
-    return figure
+            canvas.suptitle(title)
+    return canvas
 
 
 def draw_robustness(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
