@@ -74,7 +74,8 @@ def test_the_wheel_takes_them_along(tmp_path):
     """Built without the network; without the build backend, its configuration is looked at."""
     if importlib.util.find_spec("hatchling") is None:
         table = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
-        assert table["force-include"] == {name: f"mvla_sim/data/{name}" for name in ("experiments", "scenes")}
+        assert {"experiments", "scenes"} < set(table["only-include"])
+        assert table["sources"] == {name: f"mvla_sim/data/{name}" for name in ("experiments", "scenes")}
         return
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True)

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mvla_sim as mv
+from mvla_sim.channel.simulate import cache_file
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.scene.antennas import horn
 from mvla_sim.scene.shapes.cylinder import Cylinder
@@ -195,13 +196,13 @@ def test_fingerprint_ignores_names_and_sees_everything_else():
 
 
 @pytest.mark.parametrize("shape", [Star(), Cylinder(), Polygon(vertices_m=((0, 0), (2, 0), (0, 2)))], ids=repr)
-def test_fingerprint_follows_the_code_of_a_built_in_shape(shape, monkeypatch):
+def test_the_cache_follows_the_code_of_a_built_in_shape(shape, monkeypatch):
     """A cached channel of what a shape once was is none of what it is now."""
-    first = Scene(objects=[shape]).fingerprint()
-    assert first == Scene(objects=[shape]).fingerprint()
+    first = cache_file(Scene(objects=[shape]))
+    assert first == cache_file(Scene(objects=[shape]))
     corners = type(shape).corners
     monkeypatch.setattr(type(shape), "corners", lambda self: np.asarray(corners(self)) * 1.001)
-    assert first != Scene(objects=[shape]).fingerprint()
+    assert first != cache_file(Scene(objects=[shape]))
 
 
 def test_fingerprint_follows_the_code_of_an_antenna(monkeypatch):
