@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 import secrets
 from collections.abc import Iterator
@@ -13,8 +14,10 @@ from typing import Final
 from mvla_sim.errors import DataError, OutputError
 from mvla_sim.interrupt import interruptible
 
-__all__ = ["atomic_output", "check_writable", "existing_file", "make_folder"]
+__all__ = ["atomic_output", "check_writable", "existing_file", "locked_folder", "make_folder"]
 
+LOCK: Final = ".lock"
+"""Name of the file by which a folder is locked."""
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What writing to an open file raises, without the file's name."""
 
@@ -130,6 +133,45 @@ def existing_file(path: str | os.PathLike[str], what: str) -> Path:
     if size == 0:
         raise DataError(f"{file}: is empty, not a {what}")
     return file
+
+
+@contextlib.contextmanager
+def locked_folder(folder: Path, what: str) -> Iterator[None]:
+    """Make a folder and hold it; the system lets go of it when the process ends, however it ends.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+    what
+        What one process at a time may do in it, for the message ("run").
+
+    Raises
+    ------
+    OutputError
+        Another process holds it, or it cannot be written.
+    """
+
+    def refused(why: str) -> OutputError:
+        return OutputError(f"{folder}: {why}; choose another folder", setting="output")
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        raise refused(f"cannot be written ({error.strerror})") from error
+    with os.fdopen(descriptor, "r+", encoding="utf-8", errors="replace") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            owner = handle.read(20).strip() or "unknown"
+            raise refused(f"another {what} is at work here (process {owner})") from error
+        except OSError as error:
+            raise refused(f"cannot be locked ({error.strerror})") from error
+        handle.truncate(0)
+        handle.write(str(os.getpid()))
+        handle.flush()
+        yield
 
 
 def _refusal(target: Path, error: OSError) -> OutputError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import os
 import time
@@ -31,14 +30,13 @@ from mvla_sim.dataset.shard import (
     shard_name,
 )
 from mvla_sim.errors import DataError, MvlaError, OutputError, RuntimeUnfitError
-from mvla_sim.files import atomic_output, check_writable
+from mvla_sim.files import atomic_output, check_writable, locked_folder
 from mvla_sim.interrupt import interruptible
 from mvla_sim.progress import Advance, progress
 from mvla_sim.sweep.case import flatten
 
 __all__ = ["BuildInterruptedError", "BuildResult", "build_dataset", "stored_shards"]
 
-LOCK: Final = ".lock"
 SAVE_S: Final = 5.0
 """The index is written at most this often while shards are being made; others are checked by their data."""
 MOST_DEATHS: Final = 10
@@ -113,7 +111,7 @@ def build_dataset(
     settings = campaign if isinstance(campaign, CampaignSettings) else load_campaign(campaign)
     check_room(settings)
     place = Path(folder)
-    with _locked(place):
+    with locked_folder(place, "build"):
         check_writable(place / INDEX)
         kept, notes = stored_shards(settings, place)
         if retry_failed:
@@ -178,8 +176,8 @@ class _Builder:
                 chosen.start()
                 self._deaths = chosen.deaths
                 with progress(f"building {campaign.name}", total, "samples") as advance:
-                    for number in self._together(missing, chosen, advance):
-                        self._one_by_one(number, chosen, advance)
+                    for number in self._make_shards(missing, chosen, advance):
+                        self._make_samples(number, chosen, advance)
         except KeyboardInterrupt as stop:
             self.index.save()
             raise BuildInterruptedError(
@@ -192,7 +190,7 @@ class _Builder:
             raise
         self.index.save()
 
-    def _together(self, missing: Sequence[int], cluster: Cluster, advance: Advance) -> list[int]:
+    def _make_shards(self, missing: Sequence[int], cluster: Cluster, advance: Advance) -> list[int]:
         """Make shards, a task each; return those whose workers died too often."""
         tasks = ((ShardTask(self.index.campaign, number),) for number in missing)
         deadly: list[int] = []
@@ -210,7 +208,7 @@ class _Builder:
                 self._check_deaths(cluster)
         return deadly
 
-    def _one_by_one(self, number: int, cluster: Cluster, advance: Advance) -> None:
+    def _make_samples(self, number: int, cluster: Cluster, advance: Advance) -> None:
         """Make the samples of a shard, a task each, so that the one that its workers die of fails alone."""
         campaign = self.index.campaign
         numbers = numbers_of(campaign, number)
@@ -338,21 +336,3 @@ def _check_same(there: CampaignSettings, here: CampaignSettings, folder: Path) -
 
 def _shown(settings: dict[str, Any], key: str) -> str:
     return str(settings[key])[:60] if key in settings else "absent"
-
-
-@contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold a directory for one build; the lock ends with the process."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise OutputError(f"{folder}: another build is at work here") from error
-        yield
-    finally:
-        os.close(descriptor)

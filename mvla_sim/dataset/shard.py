@@ -158,7 +158,7 @@ def make_shard(task: ShardTask) -> Shard:
     numbers = numbers_of(campaign, task.number)
     began = time.perf_counter()
     found: list[Made | Failure] = []
-    with _hushed(shard_name(task.number), len(numbers)) as advance:
+    with _progress_hidden(shard_name(task.number), len(numbers)) as advance:
         for number in numbers:
             found.append(_made_or_failed(campaign, number))
             advance(1)
@@ -169,7 +169,7 @@ def make_shard(task: ShardTask) -> Shard:
 
 def make_one(campaign: CampaignSettings, number: int) -> Made | Failure:
     """Make one sample, or say why it could not be made; errors as :func:`make_shard`."""
-    with _hushed(f"sample {number}", 1):
+    with _progress_hidden(f"sample {number}", 1):
         return _made_or_failed(campaign, number)
 
 
@@ -183,7 +183,7 @@ def _made_or_failed(campaign: CampaignSettings, number: int) -> Made | Failure:
 
 
 @contextlib.contextmanager
-def _hushed(description: str, samples: int) -> Iterator[Advance]:
+def _progress_hidden(description: str, samples: int) -> Iterator[Advance]:
     """Within the block the tracer's reports go below the bar that this process shows; where there is none, nowhere."""
     nothing = io.StringIO()
     with contextlib.ExitStack() as stack:

@@ -122,11 +122,11 @@ def run_smoke(command: Sequence[str] = SMOKE_COMMAND, timeout_s: float = TIMEOUT
         return Smoke(backend, None, str(said["error"]))
     if child.returncode == 0 and "range_m" in said:
         return Smoke(backend, f"1 ray, {said['range_m']:.3f} m as expected, {said['seconds']:.1f} s", None)
-    return Smoke(backend, None, _death(child.returncode, child.stderr, backend))
+    return Smoke(backend, None, _crash_report(child.returncode, child.stderr, backend))
 
 
-def _death(code: int, errors: str, backend: Mapping[str, Any]) -> str:
-    """One line on a child that did not live to tell: how it ended, its last words, and how to fix it."""
+def _crash_report(code: int, errors: str, backend: Mapping[str, Any]) -> str:
+    """One line on a child that reported nothing: how it ended, its last line of errors, and how to fix it."""
     how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"failed with exit status {code}"
     lines = [line.strip() for line in errors.splitlines() if line.strip()]
     words = next((line for line in lines if "ERROR" in line), lines[-1] if code >= 0 and lines else "")

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
-import os
 import sqlite3
 import time
 from collections.abc import Iterator, Mapping
@@ -15,6 +13,7 @@ from typing import Any, Final
 from mvla_sim.engine.machine import program_version
 from mvla_sim.engine.provenance import code_digest
 from mvla_sim.errors import DataError, MvlaError, OutputError
+from mvla_sim.files import locked_folder
 from mvla_sim.sweep.case import ROW_SCHEMA, Row, flatten
 from mvla_sim.sweep.experiment import dotted_key
 from mvla_sim.sweep.plan import Plan
@@ -22,7 +21,6 @@ from mvla_sim.sweep.plan import Plan
 __all__ = ["FILE", "Store", "identity"]
 
 FILE: Final = "store.sqlite"
-LOCK: Final = ".lock"
 COMMIT_S: Final = 0.5
 """Finished cases are committed together at most this often; a killed run loses no more than that."""
 
@@ -93,7 +91,7 @@ class Store:
             The store is damaged, of another schema or version, or of an experiment with other settings; the message
             says what differs.
         """
-        with _locked(folder):
+        with locked_folder(folder, "run"):
             file = folder / FILE
             if fresh:
                 for name in (FILE, f"{FILE}-journal"):
@@ -238,33 +236,6 @@ class Store:
             if isinstance(error, sqlite3.OperationalError) and "malformed" not in text:
                 raise OutputError(f"{self.file}: cannot be used ({text})") from error
             raise self._unusable(f"not a readable store, truncated or damaged ({text})") from error
-
-
-@contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold a folder; the system lets go of it when the process ends, however it ends."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = (folder / LOCK).open("a+", encoding="utf-8")
-    except OSError as error:
-        raise _no_folder(folder, f"cannot be written ({error.strerror})") from error
-    with handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            handle.seek(0)
-            owner = handle.read(20).strip() or "unknown"
-            raise _no_folder(folder, f"another run is at work here (process {owner})") from error
-        except OSError as error:
-            raise _no_folder(folder, f"cannot be locked ({error.strerror})") from error
-        handle.truncate(0)
-        handle.write(str(os.getpid()))
-        handle.flush()
-        yield
-
-
-def _no_folder(folder: Path, why: str) -> OutputError:
-    return OutputError(f"{folder}: {why}; choose another folder", setting="output")
 
 
 def _under(key: str, replaced: tuple[str, ...]) -> bool:

@@ -24,6 +24,7 @@ from mvla_sim.dataset.index import INDEX, Index, file_sha256
 from mvla_sim.dataset.shard import ShardTask, make_shard, shard_name
 from mvla_sim.dataset.verify import verify
 from mvla_sim.errors import ConfigError, DataError, OutputError, RuntimeUnfitError
+from mvla_sim.files import locked_folder
 from mvla_sim.scene.world import Scene
 
 pytestmark = pytest.mark.usefixtures("fake")
@@ -287,7 +288,7 @@ def test_bad_input_is_told_before_work(tmp_path, monkeypatch):
 
 
 def test_a_second_build_is_refused_at_once(tmp_path):
-    with module._locked(tmp_path / "out"), pytest.raises(OutputError, match="another build is at work here"):
+    with locked_folder(tmp_path / "out", "build"), pytest.raises(OutputError, match="another build is at work here"):
         build_dataset(tiny(tmp_path), tmp_path / "out", workers=0)
 
 
