@@ -74,7 +74,9 @@ def synthesize(
 
 @measured_app.command()
 def process(
-    file: Annotated[str, typer.Argument(help="A TOML file with [import] or scene, as experiments/vehicle.toml.")],
+    file: Annotated[
+        str, typer.Argument(help="A TOML file with [import] or scene, or the name of one that comes along: vehicle.")
+    ],
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder; default results/NAME.")] = None,
     overrides: Overrides = None,
 ) -> None:
