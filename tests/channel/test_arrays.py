@@ -20,7 +20,7 @@ from foreign_files import damaged
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.channel.readers import array_files
+from mvla_sim.channel.readers import array_files, array_values
 from mvla_sim.channel.readers.array_files import ArrayFile, read_array_file
 from mvla_sim.channel.readers.arrays import ArrayData, ArrayReader, read_responses
 from mvla_sim.errors import ConfigError, DataError
@@ -323,7 +323,7 @@ def test_only_so_many_arrays_are_listed(tmp_path, kind):
 
 
 def test_too_many_arrays_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(array_files, "_MOST_ARRAYS", 3)
+    monkeypatch.setattr(array_values, "_MOST_ARRAYS", 3)
     write_npz(tmp_path / "a.npz")
     assert "has more than 3 arrays" in refused(tmp_path / "a.npz")
 

@@ -25,7 +25,7 @@ import sys
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
@@ -34,46 +34,34 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.channel.readers.array_values import (
+    ArrayEntry,
+    check_claim,
+    check_number,
+    plain_values,
+    refusal_of,
+    shown,
+)
+from mvla_sim.errors import DataError
 from mvla_sim.files import existing_file
-from mvla_sim.memory import USABLE, check_memory
+from mvla_sim.memory import USABLE
 
-__all__ = ["SUFFIXES", "ArrayEntry", "ArrayFile", "read_array_file", "shown"]
+__all__ = ["SUFFIXES", "ArrayFile", "read_array_file", "read_single_arrays"]
 
 SUFFIXES: Final = (".mat", ".npz", ".h5", ".hdf5", ".nc")
 """Of files that are read."""
 
 _PATIENCE_S: Final = 30.0  # for any file, and a second more for each of the following
 _BYTES_A_SECOND: Final = 20e6
-_MOST_PACKED: Final = 1100  # deflate makes at most 1032 bytes of one
-_NUMBER_BYTES: Final = 48  # of memory for a number, which becomes complex128 and is copied
-_MOST_ARRAYS: Final = 10_000
 _MOST_LISTED: Final = 20
 _HEADER_BYTES: Final = 4096  # of .npy; those of plain arrays take 128
 _MATLAB_NUMBERS: Final = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
-_COMPLEX_FIELDS: Final = (("real", "imag"), ("re", "im"), ("r", "i"))
 _CHILD: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from mvla_sim.channel.readers import array_files; "
-    "array_files._answer(sys.argv[2], json.loads(sys.argv[3]))"
+    "array_files._answer(json.loads(sys.argv[2]))"
 )
 
 Arrays = dict[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class ArrayEntry:
-    """What a file says of one of its arrays.
-
-    Attributes
-    ----------
-    shape
-        Its lengths, those of 1 included.
-    refusal
-        What it is instead of numbers ("text"); None where it is numbers.
-    """
-
-    shape: tuple[int, ...]
-    refusal: str | None = None
 
 
 Entries = dict[str, ArrayEntry]
@@ -147,16 +135,47 @@ def read_array_file(file: str | os.PathLike[str], ahead: Sequence[str] = ()) -> 
     return ArrayFile(path, *_read(path, [name.strip("/") for name in ahead]))
 
 
+def read_single_arrays(files: Mapping[str, Path]) -> Arrays:
+    """Read from each of several files the array it is for: files of one array each, as DeepMIMO's.
+
+    Parameters
+    ----------
+    files
+        ``.mat``, ``.npz`` or ``.npy`` files by the name of the array in them; in an ``.npy`` it has none.
+
+    Returns
+    -------
+    dict
+        The arrays by name, with all their lengths.
+
+    Raises
+    ------
+    DataError
+        As :func:`read_array_file` and :meth:`ArrayFile.get`.
+    """
+    apart = {existing_file(file, "file of arrays"): [name] for name, file in files.items() if file.suffix == ".mat"}
+    read = _read_apart(apart) if apart else {}
+    arrays = Arrays()
+    for name, file in files.items():
+        entries, loaded = read[file] if file in read else _read(existing_file(file, "file of arrays"), [name])
+        arrays[name] = ArrayFile(file, entries, loaded).get(name).reshape(entries[name].shape)
+    return arrays
+
+
 def _read(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
     suffix = file.suffix.lower()
-    if suffix not in SUFFIXES:
+    if suffix not in (*SUFFIXES, ".npy"):
         raise DataError(f"{file}: unknown suffix '{file.suffix}'; allowed: {', '.join(SUFFIXES)}")
     try:
-        if suffix != ".npz":
-            return _read_apart(file, wanted)
+        if suffix not in (".npz", ".npy"):
+            return _read_apart({file: wanted})[file]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # NumPy warns of odd headers; here they are right or refused
-            return _read_npz(file, wanted)
+            if suffix == ".npz":
+                return _read_npz(file, wanted)
+            with file.open("rb") as stream:
+                entry, values = _read_npy(file, wanted[0], stream, file.stat().st_size, load=True)
+            return {wanted[0]: entry}, {} if values is None else {wanted[0]: values}
     except DataError:
         raise
     except Exception as error:  # zipfile and NumPy raise whatever a broken file trips over
@@ -167,7 +186,7 @@ def _read_npz(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
     entries, loaded = Entries(), Arrays()
     with zipfile.ZipFile(file) as archive:
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
-        _check_number(file, len(members))
+        check_number(file, len(members))
         for member in members:
             name = member.filename.removesuffix(".npy")
             if name in entries:
@@ -191,24 +210,28 @@ def _read_npy(
         return ArrayEntry((), f"of .npy version {version[0]}.{version[1]}"), None
     older, newer = np.lib.format.read_array_header_1_0, np.lib.format.read_array_header_2_0
     shape, fortran, dtype = (older if version == (1, 0) else newer)(start)
-    entry = ArrayEntry(shape, _refusal(dtype))
+    entry = ArrayEntry(shape, refusal_of(dtype))
     if entry.refusal or not load:
         return entry, None
-    _check_claim(file, name, shape, dtype.itemsize)
+    check_claim(file, name, shape, dtype.itemsize)
     offset, count = start.tell(), math.prod(shape)
     if min(shape, default=0) < 0 or offset + count * dtype.itemsize != size:
         raise DataError(f"{file}: variable '{shown(name)}' announces shape {shape}, its {size} bytes do not hold that")
     content = start.getvalue() + stream.read(max(size - _HEADER_BYTES, 0))
-    return entry, _plain(np.frombuffer(content, dtype, count, offset).reshape(shape, order="F" if fortran else "C"))
+    return entry, plain_values(
+        np.frombuffer(content, dtype, count, offset).reshape(shape, order="F" if fortran else "C")
+    )
 
 
-def _read_apart(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
-    """Read a MATLAB or HDF5 file in another process, which may crash."""
+def _read_apart(wanted: Mapping[Path, Sequence[str]]) -> dict[Path, tuple[Entries, Arrays]]:
+    """Read arrays of MATLAB or HDF5 files in another process, which may crash."""
     path = json.dumps([place or str(Path.cwd()) for place in sys.path])
-    command = [sys.executable, "-I", "-c", _CHILD, path, str(file), json.dumps(list(wanted))]
+    asked = json.dumps([(str(file), list(names)) for file, names in wanted.items()])
+    command = [sys.executable, "-I", "-c", _CHILD, path, asked]
+    file = next(iter(wanted))
     quiet = os.environ | {"OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::"}  # "::": load no foreign filters
     with tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as complaint:
-        limit_s = _patience_s(file)
+        limit_s = _patience_s(wanted)
         try:
             code = subprocess.run(  # noqa: S603 - this very interpreter
                 command, stdin=subprocess.DEVNULL, stdout=answer, stderr=complaint, env=quiet, timeout=limit_s,
@@ -218,40 +241,48 @@ def _read_apart(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
             raise DataError(f"{file}: is not read within {limit_s:g} s; it is damaged or of another format") from error
         answer.seek(0)
         complaint.seek(0)
+        if code and len(wanted) > 1:  # one at a time, for the message to name the one
+            return {one: _read_apart({one: names})[one] for one, names in wanted.items()}
         if code:
             lines = complaint.read(1 << 20).decode(errors="replace").split("\n")
             said = next((line for line in reversed(lines) if line.strip()), f"exit code {code}")
             reason = f"reading it ends with signal {-code}" if code < 0 else shown(said)
             raise DataError(f"{file}: is damaged or not a {file.suffix} file ({reason})")
-        told = json.loads(answer.readline())
-        if isinstance(told, str):
-            raise DataError(told)
-        entries = {name: ArrayEntry(tuple(shape), refusal) for name, shape, refusal in told["entries"]}
-        return entries, {name: np.lib.format.read_array(answer, allow_pickle=False) for name in told["loaded"]}
+        found = {}
+        for one in wanted:
+            told = json.loads(answer.readline())
+            if isinstance(told, str):
+                raise DataError(told)
+            entries = {name: ArrayEntry(tuple(shape), refusal) for name, shape, refusal in told["entries"]}
+            loaded = {name: np.lib.format.read_array(answer, allow_pickle=False) for name in told["loaded"]}
+            found[one] = entries, loaded
+        return found
 
 
-def _patience_s(file: Path) -> float:
-    return math.ceil(_PATIENCE_S + file.stat().st_size / _BYTES_A_SECOND)
+def _patience_s(files: Iterable[Path]) -> float:
+    return math.ceil(_PATIENCE_S + sum(file.stat().st_size for file in files) / _BYTES_A_SECOND)
 
 
-def _answer(file: str, wanted: Sequence[str]) -> None:
-    """Be the other process: write the entries as a line of JSON, then each array, or the message of an error."""
-    path, memory = Path(file), psutil.virtual_memory().available * USABLE + psutil.Process().memory_info().vms
-    limits = {resource.RLIMIT_AS: memory, resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: _patience_s(path)}
+def _answer(wanted: Sequence[tuple[str, Sequence[str]]]) -> None:
+    """Be the other process: of each file write a line of JSON, its entries or an error, and then each array."""
+    files = [Path(file) for file, _ in wanted]
+    memory = psutil.virtual_memory().available * USABLE + psutil.Process().memory_info().vms
+    limits = {resource.RLIMIT_AS: memory, resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: _patience_s(files)}
     for kind, limit in limits.items():
         hard = resource.getrlimit(kind)[1]
         resource.setrlimit(kind, (int(limit) if hard == resource.RLIM_INFINITY else min(int(limit), hard), hard))
     warnings.simplefilter("ignore")
     out = sys.stdout.buffer
-    try:
-        entries, loaded = (_hdf5 if _is_hdf5(path) else _matlab)(path, wanted)
-    except DataError as error:
-        out.write(json.dumps(str(error)).encode())
-        return
-    told = {"entries": [(name, e.shape, e.refusal) for name, e in entries.items()], "loaded": list(loaded)}
-    out.write(json.dumps(told).encode() + b"\n")
-    for values in loaded.values():
-        np.lib.format.write_array(out, values, allow_pickle=False)
+    for path, (_, names) in zip(files, wanted, strict=True):
+        try:
+            entries, loaded = (_hdf5 if _is_hdf5(path) else _matlab)(path, names)
+        except DataError as error:
+            out.write(json.dumps(str(error)).encode())
+            return
+        told = {"entries": [(name, e.shape, e.refusal) for name, e in entries.items()], "loaded": list(loaded)}
+        out.write(json.dumps(told).encode() + b"\n")
+        for values in loaded.values():
+            np.lib.format.write_array(out, values, allow_pickle=False)
 
 
 def _is_hdf5(file: Path) -> bool:
@@ -278,7 +309,7 @@ def _matlab(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
     import scipy.io.matlab as sio  # noqa: PLC0415 - slow, and only here is it needed
 
     listed = sio.whosmat(file)
-    _check_number(file, len(listed))
+    check_number(file, len(listed))
     if len({name for name, _, _ in listed}) < len(listed):
         raise DataError(f"{file}: has two variables of one name")
     entries = {
@@ -288,10 +319,10 @@ def _matlab(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
     }
     asked = [name for name in wanted if name in entries and entries[name].refusal is None]
     for name in asked:
-        _check_claim(file, name, entries[name].shape, 1)  # a byte is the least that MATLAB stores for a number
+        check_claim(file, name, entries[name].shape, 1)  # a byte is the least that MATLAB stores for a number
     structs = [name for name, _, kind in listed if kind == "struct"]
     content = sio.loadmat(file, variable_names=[*asked, *structs]) if asked or structs else {}
-    loaded = {name: _plain(np.asarray(content[name])) for name in asked}
+    loaded = {name: plain_values(np.asarray(content[name])) for name in asked}
     for name in structs:
         if content[name].size != 1:
             entries[name] = ArrayEntry(content[name].shape, "an array of structs")
@@ -299,9 +330,9 @@ def _matlab(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
         for part in content[name].dtype.names or ():
             values = np.asanyarray(content[name].flat[0][part])
             label = f"{name}.{part}"
-            entries[label] = ArrayEntry(values.shape, _refusal(values.dtype))
+            entries[label] = ArrayEntry(values.shape, refusal_of(values.dtype))
             if label in wanted and entries[label].refusal is None:
-                loaded[label] = _plain(values)
+                loaded[label] = plain_values(values)
     return entries, loaded
 
 
@@ -319,8 +350,8 @@ def _hdf5(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
                 continue
             entries[name] = entry
             if name in wanted and entry.refusal is None:
-                _check_claim(file, name, entry.shape, dataset.dtype.itemsize)
-                values = _plain(_unpacked(np.asarray(dataset[()]), dataset.attrs if netcdf else {}))
+                check_claim(file, name, entry.shape, dataset.dtype.itemsize)
+                values = plain_values(_unpacked(np.asarray(dataset[()]), dataset.attrs if netcdf else {}))
                 loaded[name] = values.T if matlab else values
     return entries, loaded
 
@@ -334,7 +365,7 @@ def _datasets(file: Path, root: Any, *, matlab: bool) -> Iterator[tuple[str, Any
         prefix, group = groups.pop(0)
         for name in group:
             count += 1
-            _check_number(file, count)
+            check_number(file, count)
             if matlab and name.startswith("#"):
                 continue  # "#refs#" and the like are MATLAB's own
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
@@ -354,7 +385,7 @@ def _dataset_refusal(dataset: Any) -> str | None:
     if dataset.is_virtual or dataset.external:
         return "in another file"
     kind = _text(dataset, "MATLAB_class")
-    return _refusal(dataset.dtype) if kind in ("", *_MATLAB_NUMBERS) else f"of class {shown(kind)}"
+    return refusal_of(dataset.dtype) if kind in ("", *_MATLAB_NUMBERS) else f"of class {shown(kind)}"
 
 
 def _text(dataset: Any, attribute: str) -> str:
@@ -372,56 +403,3 @@ def _unpacked(values: NDArray[Any], attributes: Mapping[str, Any]) -> NDArray[An
             if key in attributes:
                 values = apply(values, np.float64(np.ravel(attributes[key])[0]))
     return values
-
-
-def _complex_fields(dtype: np.dtype[Any]) -> tuple[str, str] | None:
-    """Names of the real and imaginary part of a compound type that stands for complex numbers."""
-    for pair in _COMPLEX_FIELDS:
-        if dtype.names == pair and all(dtype[name].kind in "iuf" and dtype[name].itemsize <= 8 for name in pair):
-            return pair
-    return None
-
-
-def _refusal(dtype: np.dtype[Any]) -> str | None:
-    """Say what an array of this type is instead of numbers."""
-    if (dtype.kind in "iuf" and dtype.itemsize <= 8) or (dtype.kind == "c" and dtype.itemsize <= 16):
-        return None
-    if dtype.kind in "OSUT":
-        return "text or objects" if dtype.kind == "O" else "text"
-    return None if _complex_fields(dtype) else f"of type {shown(dtype)}"
-
-
-def _plain(values: NDArray[Any]) -> NDArray[Any]:
-    """Join complex numbers, and turn the bytes of a number into this machine's order."""
-    fields = _complex_fields(values.dtype)
-    if fields is not None:
-        joined = np.empty(values.shape, np.complex128)
-        joined.real, joined.imag = values[fields[0]], values[fields[1]]
-        return joined
-    if _refusal(values.dtype) is not None:
-        raise ValueError(f"an array of type {values.dtype}")
-    return values.astype(values.dtype.newbyteorder("="), copy=False)
-
-
-def _check_number(file: Path, count: int) -> None:
-    if count > _MOST_ARRAYS:
-        raise DataError(f"{file}: has more than {_MOST_ARRAYS} arrays")
-
-
-def _check_claim(file: Path, name: str, shape: Sequence[int], itemsize: int) -> None:
-    """Refuse a shape that a file of this size cannot hold, or the memory not."""
-    size, count = file.stat().st_size, math.prod(shape)
-    if count * itemsize > _MOST_PACKED * size:
-        raise DataError(
-            f"{file}: variable '{shown(name)}' announces shape {tuple(shape)}, {size} bytes do not hold that"
-        )
-    try:
-        check_memory(count * _NUMBER_BYTES, f"{file}: the numbers of '{shown(name)}'", "keep fewer in the file")
-    except ConfigError as error:
-        raise DataError(str(error)) from error
-
-
-def shown(value: object) -> str:
-    """Text of a foreign value, short and in one line; the type's name of an exception that says nothing."""
-    text = " ".join(str(value).split())[:80]
-    return "".join(c if c.isprintable() else "?" for c in text) or (type(value).__name__ if value != "" else "")

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat
 
-from mvla_sim.channel.readers.array_files import SUFFIXES, ArrayFile, read_array_file, shown
+from mvla_sim.channel.readers.array_files import SUFFIXES, ArrayFile, read_array_file
+from mvla_sim.channel.readers.array_values import shown
 from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.errors import ConfigError, DataError

@@ -16,24 +16,20 @@ Slots without a path are NaN in all of them. ``params.json`` holds ``rt_params.f
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import os
 import re
-import struct
-import warnings
-import zipfile
-import zlib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import INTERACTIONS
+from mvla_sim.channel.readers.array_files import read_single_arrays
+from mvla_sim.channel.readers.array_values import shown
 from mvla_sim.channel.readers.pairs import PairPaths, PairReader, join_pairs
 from mvla_sim.errors import DataError
 from mvla_sim.files import existing_file
@@ -43,13 +39,6 @@ __all__ = ["DeepMimo", "read_deepmimo"]
 
 _LARGEST_ARRAY_BYTES: Final = 4 << 30
 _LARGEST_PARAMS_BYTES: Final = 64 << 20
-_HEADER_BYTES: Final = 4096  # of .npy; DeepMIMO's own take 128
-_MAT_VARIABLES: Final = 100  # DeepMIMO writes one
-_MAT_MATRIX, _MAT_COMPRESSED, _MAT_COMPLEX = 14, 15, 0x800
-_MAT_NUMBERS: Final = range(6, 16)  # classes double, single and the integers
-_MAT_TYPES: Final = {
-    1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8",
-}  # fmt: skip
 _ARRAYS: Final = ("rx_pos", "tx_pos", "power", "phase", "delay", "inter")
 _FILE: Final = re.compile(rf"({'|'.join(_ARRAYS)}|inter_pos)_(t\d{{1,6}}_tx\d{{1,6}}_r\d{{1,6}})\.(?:mat|npz|npy)")
 _BITS: Final = np.array([0, *(INTERACTIONS[n] for n in ("specular", "diffraction", "diffuse", "refraction"))], np.uint8)
@@ -102,7 +91,7 @@ def read_deepmimo(folder: str | os.PathLike[str]) -> PairPaths:
         arrays = _arrays_of(place)
     except OSError as error:
         raise DataError(f"{place}: not readable ({error.strerror})") from error
-    carrier_hz, tracer = _carrier(place, params), _text(params["rt_params"].get("raytracer_name"))
+    carrier_hz, tracer = _carrier(place, params), _told(params["rt_params"], "raytracer_name")
     turned = tracer.startswith("Sionna") and carrier_hz is not None
     parts, cut = [], 0
     for code, files in sorted(arrays.items()):
@@ -118,8 +107,8 @@ def read_deepmimo(folder: str | os.PathLike[str]) -> PairPaths:
     source = {
         "format": "DeepMIMO v4",
         "folder": place.resolve().name,
-        "deepmimo_version": _text(params.get("version")),
-        "raytracer": f"{tracer} {_text(params['rt_params'].get('raytracer_version'))}",
+        "deepmimo_version": _told(params, "version"),
+        "raytracer": f"{tracer} {_told(params['rt_params'], 'raytracer_version')}",
         "phase": "of the file, less 2 pi carrier delay" if turned else "of the file",
         "arrays": f"{len(parts)} of a transmitter and a receiver set",
         "interaction_codes_cut": str(cut),
@@ -141,7 +130,7 @@ def _params(place: Path) -> dict[str, Any]:
     try:
         params = json.loads(file.read_bytes())
     except (ValueError, RecursionError) as error:
-        raise DataError(f"{file}: is not readable JSON ({_text(error)})") from error
+        raise DataError(f"{file}: is not readable JSON ({shown(error)})") from error
     if not isinstance(params, dict) or not isinstance(params.get("rt_params"), dict):
         raise DataError(f"{file}: has no object rt_params; this is no DeepMIMO v4 scenario")
     return params
@@ -158,7 +147,7 @@ def _carrier(place: Path, params: dict[str, Any]) -> float | None:
         carrier_hz = math.nan
     if not 0 <= carrier_hz < math.inf:
         raise DataError(
-            f"{place / 'params.json'}: rt_params.frequency is {_text(value)!r}, must be hertz above 0, or 0 if unknown"
+            f"{place / 'params.json'}: rt_params.frequency is {shown(value)!r}, must be hertz above 0, or 0 if unknown"
         )
     return carrier_hz or None
 
@@ -179,16 +168,17 @@ def _arrays_of(place: Path) -> dict[str, dict[str, Path]]:
 
 def _pairs(files: dict[str, Path], carrier_hz: float | None, *, turned: bool) -> tuple[PairPaths, int]:
     """Pairs of one transmitter and one set of receivers, and how many interaction codes were cut."""
-    receivers, transmitter = _array(files["rx_pos"], "rx_pos"), _array(files["tx_pos"], "tx_pos")
+    arrays = _arrays(files)
+    receivers, transmitter = arrays["rx_pos"], arrays["tx_pos"]
     if receivers.ndim != 2 or receivers.shape[1] != 3:
         raise DataError(f"{files['rx_pos']}: rx_pos has shape {receivers.shape}, must be [receivers, 3]")
     if transmitter.size != 3:
         raise DataError(f"{files['tx_pos']}: tx_pos has shape {transmitter.shape}, must be [1, 3]")
-    power = _array(files["power"], "power")
+    power = arrays["power"]
     if power.ndim != 2 or len(power) != len(receivers):
         raise DataError(f"{files['power']}: power has shape {power.shape}, must be [{len(receivers)} receivers, paths]")
     _check_size(files["power"], power.size * _SLOT_BYTES, most=math.inf)
-    slots = {"power": power} | {name: _array(files[name], name) for name in ("phase", "delay", "inter")}
+    slots = {"power": power} | {name: arrays[name] for name in ("phase", "delay", "inter")}
     present = ~np.isnan(power)
     for name, values in slots.items():
         if values.shape != power.shape:
@@ -201,7 +191,7 @@ def _pairs(files: dict[str, Path], carrier_hz: float | None, *, turned: bool) ->
     interaction, cut = _interactions(files["inter"], slots["inter"][present])
     first_point = np.full((row.size, 3), np.nan, np.float32)
     if "inter_pos" in files:
-        first_point = _first_points(files["inter_pos"], present)
+        first_point = _first_points(files["inter_pos"], arrays["inter_pos"], present)
         first_point[interaction == 0] = np.nan
     order = np.lexsort((delay_s, row))
     phase_rad = np.deg2rad(phase_deg)
@@ -246,9 +236,8 @@ def _interactions(file: Path, codes: NDArray[Any]) -> tuple[NDArray[np.uint8], i
     return bits, int(np.count_nonzero(cut))
 
 
-def _first_points(file: Path, present: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _first_points(file: Path, points: NDArray[Any], present: NDArray[np.bool_]) -> NDArray[np.float32]:
     """First known interaction point of each path, ``[n_path, 3]`` metres; NaN where there is none."""
-    points = _array(file, "inter_pos")
     if points.ndim != 4 or points.shape[:2] != present.shape or points.shape[3] != 3:
         raise DataError(f"{file}: inter_pos has shape {points.shape}, must be {(*present.shape, 'interactions', 3)}")
     if points.shape[2] > _MOST_POINTS:
@@ -261,112 +250,15 @@ def _first_points(file: Path, present: NDArray[np.bool_]) -> NDArray[np.float32]
     return first.astype(np.float32)
 
 
-def _array(file: Path, name: str) -> NDArray[Any]:
-    """Read the array of a file: real numbers, of a size that the file's bytes bear out."""
-    existing_file(file, "DeepMIMO array")
-    size = file.stat().st_size
-    _check_size(file, size)
-    reader = {".npy": _read_npy, ".npz": _read_npz, ".mat": _read_mat}[file.suffix]
-    try:
-        with warnings.catch_warnings(), file.open("rb") as handle:
-            warnings.simplefilter("ignore")  # the parsers warn of what is odd; here it is right or refused
-            values = reader(file, handle, size, name)
-    except DataError:
-        raise
-    except Exception as error:  # the parsers raise whatever a broken file trips over
-        raise DataError(f"{file}: is not a readable {file.suffix} file ({_text(error)})") from error
-    if values.dtype.kind not in "fiu" or values.dtype.itemsize > 8:
-        raise DataError(f"{file}: {name} has type {values.dtype}, must be real numbers")
-    return values
-
-
-def _read_npz(file: Path, handle: BinaryIO, _size: int, name: str) -> NDArray[Any]:
-    with zipfile.ZipFile(handle) as archive:
-        if archive.namelist().count(f"{name}.npy") != 1:
-            raise DataError(f"{file}: has no array named {name}, or several")
-        member = archive.getinfo(f"{name}.npy")
-        _check_size(file, member.file_size)
-        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others grow without a bound
-            raise DataError(f"{file}: is packed by method {member.compress_type}, which NumPy does not write")
-        with archive.open(member) as stream:
-            return _read_npy(file, stream, member.file_size, name)
-
-
-def _read_npy(file: Path, stream: Any, size: int, name: str) -> NDArray[Any]:
-    """Read an array from a stream of ``size`` bytes."""
-    start = io.BytesIO(stream.read(min(size, _HEADER_BYTES)))
-    version = np.lib.format.read_magic(start)
-    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    if version not in headers:
-        raise DataError(f"{file}: is of .npy version {version}; 1.0 and 2.0 are read")
-    shape, fortran, dtype = headers[version](start)
-    offset, count = start.tell(), math.prod(shape)
-    if dtype.kind not in "fiu":
-        raise DataError(f"{file}: {name} has type {dtype}, must be real numbers")
-    if any(length < 0 for length in shape) or offset + count * dtype.itemsize != size:
-        raise DataError(f"{file}: announces an array of shape {_text(shape)}, which {size} bytes do not hold")
-    content = start.getvalue() + stream.read(max(size - _HEADER_BYTES, 0))
-    values = np.frombuffer(content, dtype, count, offset)
-    return values.reshape(shape, order="F" if fortran else "C")
-
-
-def _read_mat(file: Path, handle: BinaryIO, _size: int, name: str) -> NDArray[Any]:
-    """Read a variable of a MATLAB 5 file. SciPy's reader is not used: it runs out of its arrays where a file lies."""
-    found = []
-    for order, matrix in _mat_matrices(file, handle.read()):
-        (_, flags), at = _mat_part(order, matrix, 0)
-        (_, lengths), at = _mat_part(order, matrix, at)
-        (_, label), at = _mat_part(order, matrix, at)
-        if bytes(label) == name.encode():
-            found.append((order, flags, lengths, matrix, at))
-    if len(found) != 1:
-        raise DataError(f"{file}: has no variable named {name}, or several")
-    order, flags, lengths, matrix, at = found[0]
-    kind = struct.unpack_from(f"{order}I", flags)[0]
-    if kind & 0xFF not in _MAT_NUMBERS or kind & _MAT_COMPLEX:
-        raise DataError(f"{file}: {name} is not an array of real numbers")
-    (stored, data), _ = _mat_part(order, matrix, at)
-    shape = struct.unpack(f"{order}{len(lengths) // 4}i", lengths)
-    values = np.frombuffer(data, np.dtype(order + _MAT_TYPES[stored]))
-    if any(length < 0 for length in shape) or math.prod(shape) != values.size:
-        raise DataError(f"{file}: announces an array of shape {shape}, {values.size} numbers are there")
-    return values.reshape(shape, order="F")
-
-
-def _mat_matrices(file: Path, content: bytes) -> Iterator[tuple[str, memoryview]]:
-    """Yield byte order and content of each variable of a MATLAB 5 file, unpacked."""
-    order = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}.get(content[124:128])
-    if order is None:
-        raise DataError(f"{file}: is not of MATLAB's format 5 (saved with -v7); others are not read")
-    at = 128
-    for _ in range(_MAT_VARIABLES):
-        if at == len(content):
-            return
-        kind, size = struct.unpack_from(f"{order}2I", content, at)
-        at += 8
-        if size > len(content) - at or kind not in (_MAT_MATRIX, _MAT_COMPRESSED):
-            raise DataError(f"{file}: truncated or damaged {at} bytes from its start")
-        matrix = memoryview(content)[at : at + size]
-        if kind == _MAT_COMPRESSED:
-            stream = zlib.decompressobj()
-            unpacked = struct.unpack(f"{order}2I", stream.decompress(matrix, 8))[1]
-            _check_size(file, unpacked)
-            matrix = memoryview(stream.decompress(stream.unconsumed_tail, unpacked or 1))
-            if len(matrix) != unpacked:
-                raise DataError(f"{file}: announces {unpacked} bytes, {len(matrix)} are there")
-        yield order, matrix
-        at += size
-    raise DataError(f"{file}: has more than {_MAT_VARIABLES} variables; this is no DeepMIMO array")
-
-
-def _mat_part(order: str, matrix: memoryview, at: int) -> tuple[tuple[int, memoryview], int]:
-    """Type and bytes of the part of a variable that begins ``at``, and where the next one does."""
-    kind, size = struct.unpack_from(f"{order}2I", matrix, at)
-    if kind >> 16:  # up to four bytes are stored in place of their number
-        return (kind & 0xFFFF, matrix[at + 4 : at + 4 + min(kind >> 16, 4)]), at + 8
-    if size > len(matrix) - at - 8:
-        raise ValueError(f"a part of {size} bytes where {len(matrix) - at - 8} are left")
-    return (kind, matrix[at + 8 : at + 8 + size]), at + 8 + size + -size % 8
+def _arrays(files: dict[str, Path]) -> dict[str, NDArray[Any]]:
+    """The arrays of some files by name: real numbers."""
+    for file in files.values():
+        _check_size(existing_file(file, "DeepMIMO array"), file.stat().st_size)
+    arrays = read_single_arrays(files)
+    for name, values in arrays.items():
+        if values.dtype.kind not in "fiu":
+            raise DataError(f"{files[name]}: {name} has type {values.dtype}, must be real numbers")
+    return arrays
 
 
 def _check_size(file: Path, size: int, most: float = _LARGEST_ARRAY_BYTES) -> None:
@@ -376,7 +268,5 @@ def _check_size(file: Path, size: int, most: float = _LARGEST_ARRAY_BYTES) -> No
         raise DataError(f"{file}: takes {size / 2**30:.2f} GiB; at most {most / 2**30:.2f} GiB can be read")
 
 
-def _text(value: object) -> str:
-    """Text of a foreign value, short and in one line."""
-    text = "unknown" if value is None else " ".join(str(value).split())[:80]
-    return text or type(value).__name__
+def _told(params: dict[str, Any], key: str) -> str:
+    return "unknown" if params.get(key) is None else shown(params[key])
