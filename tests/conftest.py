@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 os.environ["MPLBACKEND"] = "Agg"
+sys.path.append(str(Path(__file__).parent))  # helpers of several folders
 
 settings.register_profile("mvla", deadline=None)  # the first call of a compiled kernel takes seconds, later ones do not
 settings.load_profile("mvla")
