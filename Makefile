@@ -22,7 +22,7 @@ test: $(STAMP)  ## check style and types, then run every test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n $(JOBS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
 bench: $(STAMP)  ## measure how cost grows, then against references, into results/bench
 	$(BIN)/mvla bench

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import re
 import subprocess
 import sys
 from graphlib import TopologicalSorter
 from pathlib import Path
-
-import pytest
 
 import mvla_sim
 
@@ -30,6 +29,25 @@ ENGINE_AT_IMPORT = ("imaging/kernels.py",)
 """The only module that may import Dr.Jit when it is imported itself, for it activates the backend first."""
 
 
+def for_each(things):
+    """One test of a rule for many modules; it names all that break it."""
+
+    def fold(rule):
+        def test():
+            broken = {}
+            for thing in things:
+                try:
+                    rule(thing)
+                except AssertionError as error:
+                    broken[str(thing)] = str(error)
+            assert broken == {}
+
+        test.__doc__ = rule.__doc__
+        return test
+
+    return fold
+
+
 def imports(tree):
     """Full names of everything a module imports, wherever in it."""
     for node in ast.walk(tree):
@@ -40,6 +58,7 @@ def imports(tree):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+@functools.cache
 def parse(path):
     return ast.parse(path.read_text(encoding="utf-8"))
 
@@ -59,7 +78,7 @@ def part_of(name):
     return name.split(".")[1]
 
 
-@pytest.mark.parametrize("path", MODULES, ids=NAMES)
+@for_each(MODULES)
 def test_a_stage_imports_nothing_of_a_later_one(path):
     own = path.relative_to(ROOT).parts[0].removesuffix(".py")
     used = {part_of(name) for name in imports(parse(path)) if name.startswith("mvla_sim.")}
@@ -82,7 +101,7 @@ def test_every_part_is_known():
     assert parts == {*FLOW, "__init__"}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=NAMES)
+@for_each(MODULES)
 def test_only_the_tracer_knows_the_engine(path):
     name = str(path.relative_to(ROOT))
     used = {imported.split(".")[0] for imported in imports(parse(path))}
@@ -90,7 +109,7 @@ def test_only_the_tracer_knows_the_engine(path):
         assert not used & {"sionna", "mitsuba"}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=NAMES)
+@for_each(MODULES)
 def test_nothing_loads_the_engine_before_the_backend_is_chosen(path):
     """Dr.Jit opens libLLVM when it is imported, so it is imported inside functions, after ``activate()``."""
     if str(path.relative_to(ROOT)) in ENGINE_AT_IMPORT:
@@ -107,7 +126,7 @@ def test_no_module_imports_itself_by_way_of_others():
     tuple(TopologicalSorter({name: used - {None, name} for name, used in graph.items()}).static_order())
 
 
-@pytest.mark.parametrize("path", MODULES, ids=NAMES)
+@for_each(MODULES)
 def test_public_names_exist_and_are_sorted(path):
     """Constants, then classes, then functions, each by the alphabet."""
     module = importlib.import_module(dotted(path))
@@ -118,7 +137,7 @@ def test_public_names_exist_and_are_sorted(path):
         assert public, "every module says what is public in it"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=NAMES)
+@for_each(MODULES)
 def test_modules_fit_a_head(path):
     assert len(path.read_text(encoding="utf-8").splitlines()) <= 450
 
@@ -132,16 +151,16 @@ def test_nothing_imports_the_command_line():
 COMPUTING = ("numpy", "scipy", "pandas", "matplotlib", "shapely", "xarray", "drjit", "mvla_sim.plot")
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("cli/")])
+@for_each([name for name in NAMES if name.startswith("cli/")])
 def test_the_command_line_computes_and_draws_nothing(name):
     """It has what it prints from other rooms: pandas' name is there for annotations alone."""
-    tree = parse(ROOT / name)
-    for_types = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
-    tree.body = [node for node in tree.body if node not in for_types]
+    body = parse(ROOT / name).body
+    for_types = [node for node in body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    tree = ast.Module([node for node in body if node not in for_types], [])
     assert [used for used in imports(tree) if used.startswith(COMPUTING)] == []
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("plot/")])
+@for_each([name for name in NAMES if name.startswith("plot/")])
 def test_figures_compute_nothing(name):
     """They know kinds of data, other figures, and names of methods; no function that makes data."""
     used = {full for full in imports(parse(ROOT / name)) if full.startswith("mvla_sim.")}
@@ -155,7 +174,7 @@ FRONT_END = ("settings.py", "channel/readers/")
 """Rooms whose messages still name options, ``settings`` for those that ``--set`` itself gives."""
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if not name.startswith(("cli/", *FRONT_END))])
+@for_each([name for name in NAMES if not name.startswith(("cli/", *FRONT_END))])
 def test_messages_name_settings_and_no_options(name):
     """The command line adds its own hints; who calls a function from a notebook has no options."""
     for node in ast.walk(parse(ROOT / name)):
