@@ -48,11 +48,11 @@ if TYPE_CHECKING:
     from mvla_sim.dataset.score import score_dataset
     from mvla_sim.errors import MvlaError
     from mvla_sim.evaluation.boxes import bounding_box
-    from mvla_sim.evaluation.evaluate import evaluate
+    from mvla_sim.evaluation.evaluate import EvaluationSettings, evaluate
     from mvla_sim.imaging.image import Image
-    from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings, imaging_settings
+    from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
     from mvla_sim.imaging.observation import Observation
-    from mvla_sim.imaging.pipeline import reconstruct
+    from mvla_sim.imaging.pipeline import observe, reconstruct
     from mvla_sim.imaging.volumes import export_image
     from mvla_sim.measured.process import load_process, process
     from mvla_sim.plot.curves import plot_curves
@@ -99,7 +99,7 @@ _HOMES = {
     "Components": "channel.components",
     "CustomMaterial": "scene.material",
     "Cylinder": "scene.shapes.cylinder",
-    "EvaluationSettings": "imaging.imaging_settings",
+    "EvaluationSettings": "evaluation.evaluate",
     "FrequencyResponse": "channel.response",
     "Horn": "scene.antennas.horn",
     "Image": "imaging.image",
@@ -140,6 +140,7 @@ _HOMES = {
     "list_settings": "listing",
     "load_channel": "channel.loading",
     "load_process": "measured.process",
+    "observe": "imaging.pipeline",
     "open_dataset": "dataset.access",
     "plot_comparison": "plot.image_figures",
     "plot_curves": "plot.curves",
@@ -206,6 +207,7 @@ __all__ = [
     "list_settings",
     "load_channel",
     "load_process",
+    "observe",
     "open_dataset",
     "plot_comparison",
     "plot_curves",

@@ -43,6 +43,12 @@ class Kind(Settings):
         if name is not None and name not in inherited:
             cls.kinds.add(name, cls)
 
+    def model_post_init(self, context: Any, /) -> None:
+        """Count the tag as given, so that data without defaults still say which class they are of."""
+        super().model_post_init(context)
+        if self.kinds.key is not None:
+            self.model_fields_set.add(self.kinds.key)
+
 
 K = TypeVar("K", bound=Kind)
 

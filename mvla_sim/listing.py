@@ -17,7 +17,8 @@ from mvla_sim.channel.synthesis import SynthesisSettings
 from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.distributions import Drawn
 from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings
+from mvla_sim.evaluation.evaluate import EvaluationSettings
+from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.kinds import Kinds
 from mvla_sim.measured.process import ProcessSettings
 from mvla_sim.scene.world import SceneSettings
@@ -92,6 +93,8 @@ Row = tuple[str, str, str]
 
 def _rows(model: type[BaseModel], path: str, above: tuple[type[BaseModel], ...]) -> Iterator[Row]:
     """Settings of a class, and of all inside it; those of another group are named, not repeated."""
+    for name, method in getattr(model, "extra_models", dict)().items():
+        yield from _rows(method, f"{path}{name}.", (*above, method))
     for name, field in model.model_fields.items():
         key = f"{path}{field.alias or name}"
         shape = _shape(field.annotation, tuple(field.metadata))

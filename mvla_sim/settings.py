@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import difflib
 import json
 import os
@@ -11,7 +12,7 @@ import reprlib
 import tomllib
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -117,7 +118,8 @@ def with_nulls(annotated: Any, data: Any) -> Any:
         if model is None:
             return {key: _in_parts(annotation, key, value) for key, value in data.items()}
         fields = {field.alias or name: (field.annotation, field.metadata) for name, field in model.model_fields.items()}
-        return {key: with_nulls(fields.get(key), value) for key, value in data.items()}
+        extra = getattr(model, "model_of_extra", lambda _key, _data: None)
+        return {key: with_nulls(fields.get(key) or extra(key, data), value) for key, value in data.items()}
     if isinstance(data, list | tuple):
         return [_in_parts(annotation, index, item) for index, item in enumerate(data)]
     return None if isinstance(data, str) and data == "none" and type(None) in _alternatives(annotation) else data
@@ -172,23 +174,25 @@ def describe(error: ValidationError, model: type[BaseModel], data: Any) -> str:
     return line
 
 
-def apply_overrides(data: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+def apply_overrides(
+    data: dict[str, Any], overrides: Sequence[str], full_key: Callable[[str], str] = str
+) -> dict[str, Any]:
     """Return a copy of ``data`` with ``dotted.key=value`` overrides applied.
 
     A value is read as TOML (``20``, ``true``, ``[1, 2]``, ``"text"``) and, where it is none, taken as text.
-    A number addresses an element of a list: ``objects.0.radius_m=3``.
+    A number addresses an element of a list: ``objects.0.radius_m=3``. ``full_key`` makes a key of a shorter name.
 
     Raises
     ------
     ConfigError
         The override is not of this form or goes through a value that has no keys.
     """
-    result: dict[str, Any] = json.loads(json.dumps(data, default=str))
+    result = copy.deepcopy(data)
     for override in overrides:
         key, separator, text = override.partition("=")
-        if not separator or not re.fullmatch(r"\w+(\.\w+)*", key.strip()):
+        if not separator or not re.fullmatch(r"[\w-]+(\.[\w-]+)*", key.strip()):
             raise ConfigError(f"--set {override}: write dotted.key=value, for example --set noise.snr_db=10")
-        assign(result, key.strip(), _value(text.strip()), f"--set {override}")
+        assign(result, full_key(key.strip()), _value(text.strip()), f"--set {override}")
     return result
 
 
@@ -240,6 +244,7 @@ def _describe_one(item: ErrorDetails, model: type[BaseModel], data: Any) -> str:
     shown = "" if value is None or isinstance(value, dict | list | tuple | BaseModel) else f" = {value!r}"
     if item["type"] == "extra_forbidden":
         allowed = sorted(field.alias or name for name, field in parent.model_fields.items()) if parent else []
+        allowed += list(getattr(parent, "extra_models", dict)())
         close = difflib.get_close_matches(str(item["loc"][-1]), allowed, n=1)
         hint = f" (did you mean '{close[0]}'?)" if close else ""
         return f"{path}: unknown key{hint}" + (f"; allowed: {', '.join(allowed)}" if allowed else "")
@@ -273,9 +278,13 @@ def _walk(model: type[BaseModel], location: tuple[int | str, ...], data: Any) ->
         if field is None and not known:
             continue  # the tag of a branch
         path += f".{key}" if path else key
+        before = data
         data = data[key] if known else None
         inside = None if field is None else (field.annotation, field.metadata)
-        parent, current = current, _model_for(inside, data)
+        own = _model_for(inside, data)
+        if field is None and current is not None and hasattr(current, "model_of_extra"):
+            own = current.model_of_extra(key, before)
+        parent, current = current, own
         if place == len(location) - 1:
             return parent, path
     return current, path

@@ -13,10 +13,8 @@ from mvla_sim.channel.cir import INTERACTIONS, Cir
 from mvla_sim.constants import range_to_delay
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.imaging_settings import imaging_settings
-from mvla_sim.imaging.mvla import kernel_scales, likelihood_profiles
-from mvla_sim.imaging.noise import add_noise
+from mvla_sim.imaging.likelihood import kernel_scales, likelihood_profiles
 from mvla_sim.imaging.pdp import Pdp, compute_pdp
-from mvla_sim.imaging.peaks import extract_peaks
 
 __all__ = ["FrontEndJob"]
 
@@ -67,7 +65,7 @@ class FrontEndJob(Job):
             self.pdp = self._profiles()
             return
         noise = self.settings.noise.model_copy(update={"seed": number})
-        peaks = extract_peaks(add_noise(self.pdp, noise), self.settings.peaks)
+        peaks = self.settings.peaks.extract(noise.add(self.pdp))
         likelihood_profiles(peaks, *kernel_scales(self.settings.mvla, self.pdp.resolution_m, EXTENT_M), self.span_m)
         self.found = peaks.range_m.size / peaks.n_view
 

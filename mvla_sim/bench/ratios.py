@@ -33,14 +33,15 @@ from mvla_sim.errors import ConfigError
 from mvla_sim.evaluation.evaluate import ground_truth
 from mvla_sim.evaluation.metrics import score
 from mvla_sim.evaluation.tuning import optimal_thresholds
-from mvla_sim.imaging.backprojection import backprojection_profiles
-from mvla_sim.imaging.imaging_settings import ImagingSettings, PdpSettings, imaging_settings
-from mvla_sim.imaging.methods.registry import find_method, phase_free_methods
+from mvla_sim.imaging.detectors.local_maxima import LocalMaxima
+from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
+from mvla_sim.imaging.method import phase_free_methods
+from mvla_sim.imaging.methods.bp import backprojection_profiles
 from mvla_sim.imaging.mvla import kernel_scales, likelihood_profiles
-from mvla_sim.imaging.noise import add_noise
+from mvla_sim.imaging.noise import Noise
 from mvla_sim.imaging.observation import FrontEnd, Observation
-from mvla_sim.imaging.pdp import Pdp, compute_pdp
-from mvla_sim.imaging.peaks import Peaks, extract_peaks
+from mvla_sim.imaging.pdp import Pdp, PdpSettings, compute_pdp
+from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import project
 from mvla_sim.imaging.threshold import joint_threshold
 from mvla_sim.scene.world import Scene
@@ -62,7 +63,7 @@ AXES: Final = {
 VIEWS: Final = 36
 """40 cases of so many views."""
 PARTS: Final[dict[str, Callable[..., Any]]] = {
-    "PDP": compute_pdp, "noise": add_noise, "peaks": extract_peaks, "profiles": likelihood_profiles,
+    "PDP": compute_pdp, "noise": Noise.add, "peaks": LocalMaxima.peaks_of, "profiles": likelihood_profiles,
     "projection": project, "truth": ground_truth, "search": optimal_thresholds, "threshold": joint_threshold,
     "scores": score, "store": Store.add,
 }  # fmt: skip
@@ -234,13 +235,13 @@ def _observation(method: str, voxels: int, views: int, *settings: str) -> Observ
 
 def _projecting(seen: Observation) -> float:
     with watched(project=project) as spent:
-        find_method(seen.settings.method).image(seen)
+        seen.settings.chosen.image(seen)
     return spent["project"]
 
 
 def _iterating(few: Observation, many: Observation) -> float:
-    method = find_method(few.settings.method)
-    return (_seconds(lambda: method.image(many)) - _seconds(lambda: method.image(few))) / 10
+    one, other = few.settings.chosen, many.settings.chosen
+    return (_seconds(lambda: other.image(many)) - _seconds(lambda: one.image(few))) / 10
 
 
 def _tracing(runs: int) -> Iterator[Ratio]:
@@ -318,8 +319,8 @@ def _sweep(runs: int) -> Iterator[Ratio]:
     with tempfile.TemporaryDirectory(prefix="mvla-bench-") as name, _cache(f"{name}/cache"):
         folder = Path(name)
         plan = star_plan(folder, VIEWS, AXES)
-        for scene in plan.scenes.values():
-            traced = _seconds(functools.partial(simulate, scene))
+        for source in plan.sources.values():
+            traced = _seconds(source.make)
         set_threads(1)
         try:
             run_plan(star_plan(folder, VIEWS, AXES | {"interval_deg": [60.0]}), folder / "warm-up", workers=0)

@@ -15,12 +15,11 @@ import psutil
 from mvla_sim.bench.child import Job
 from mvla_sim.bench.inputs import DEFAULT_RAYS
 from mvla_sim.bench.measure import memory_of
-from mvla_sim.channel.simulate import simulate
 from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import Plan, expand
 from mvla_sim.sweep.run import run_plan
-from mvla_sim.sweep.schedule import tasks_of
+from mvla_sim.sweep.schedule import groups_of
 
 __all__ = ["HandingOutJob", "SweepJob", "nothing", "star_plan"]
 
@@ -105,9 +104,9 @@ class SweepJob(_Workers):
         super().__init__(workers)
         axes = {"method": ["mvla-gr"], "snr_db": [20.0], "seed": list(range(round(cases)))}
         self.plan = star_plan(self.folder, views, axes)
-        for traced in self.plan.scenes.values():
-            simulate(traced)
-        self.batches = sum(len(task.batches) for task in tasks_of(self.plan, self.plan.cases, self.workers))
+        for source in self.plan.sources.values():
+            source.make()
+        self.batches = sum(len(task.batches) for task in groups_of(self.plan, self.plan.cases, self.workers))
         self.failed = 0
 
     def call(self, number: int) -> None:

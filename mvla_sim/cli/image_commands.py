@@ -45,7 +45,7 @@ def image(
     from mvla_sim.imaging.imaging_settings import imaging_settings
 
     check_output(output, ".nc")
-    given = {
+    given: dict[str, Any] = {
         "method": method,
         "snr_db": _number(snr_db, "--snr"),
         "interval_deg": interval_deg,
@@ -76,7 +76,7 @@ def evaluate(
     overrides: Overrides = None,
 ) -> None:
     """Score an image against its target: Chamfer distance, F1 and more, at given or at optimal thresholds."""
-    from mvla_sim.imaging.imaging_settings import EvaluationSettings
+    from mvla_sim.evaluation.evaluate import EvaluationSettings
     from mvla_sim.settings import apply_overrides, parse
 
     if min_support_deg is not None and top_percent is None:

@@ -23,9 +23,10 @@ from mvla_sim.evaluation.candidates import best_db, best_pair, chamfer_table, wo
 from mvla_sim.evaluation.ground_truth import TruthGeometry
 from mvla_sim.evaluation.metrics import Scores, score
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.imaging_settings import ImagingSettings, ThresholdSettings, imaging_settings
+from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
 from mvla_sim.imaging.pipeline import reconstruct
-from mvla_sim.imaging.threshold import joint_threshold
+from mvla_sim.imaging.threshold_rules.given import GivenThresholds
+from mvla_sim.imaging.thresholds import joint_threshold
 
 __all__ = [
     "DISTANCES_M", "PROTOCOL", "SNR_DB", "Attempt", "best_thresholds", "failed_metrics", "protocol_settings",
@@ -83,7 +84,7 @@ def protocol_settings(campaign: CampaignSettings, method: str, overrides: Sequen
 
 
 def score_sample(
-    sample: Sample, settings: Sequence[ImagingSettings], thresholds: Sequence[ThresholdSettings | None]
+    sample: Sample, settings: Sequence[ImagingSettings], thresholds: Sequence[GivenThresholds | None]
 ) -> list[Attempt]:
     """Apply methods to a sample.
 
@@ -102,7 +103,7 @@ def score_sample(
 
 
 def _attempt(
-    sample: Sample, settings: ImagingSettings, thresholds: ThresholdSettings | None, geometry: TruthGeometry
+    sample: Sample, settings: ImagingSettings, thresholds: GivenThresholds | None, geometry: TruthGeometry
 ) -> Attempt:
     number = int(sample.metadata["sample"])
     noise = settings.noise.model_copy(update={"seed": number})
@@ -120,7 +121,7 @@ def _attempt(
     return Attempt(number, seconds=seconds, metrics=metrics)
 
 
-def best_thresholds(attempts: Sequence[Attempt], grid: VoxelGrid) -> tuple[ThresholdSettings, float]:
+def best_thresholds(attempts: Sequence[Attempt], grid: VoxelGrid) -> tuple[GivenThresholds, float]:
     """The pair with the least mean CD over validation samples, and that mean, dB(m²).
 
     Where several are equal, the smallest T_θ, then the smallest p. A sample without an image counts as worst.

@@ -27,8 +27,10 @@ from mvla_sim.engine.machine import program_version
 from mvla_sim.engine.provenance import code_digest, provenance
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import atomic_output, check_writable
-from mvla_sim.imaging.imaging_settings import ImagingSettings, ThresholdSettings, split_method
-from mvla_sim.imaging.methods.registry import find_method, phase_free_methods
+from mvla_sim.imaging.functions import names_a_file
+from mvla_sim.imaging.imaging_settings import ImagingSettings
+from mvla_sim.imaging.method import METHODS, phase_free_methods
+from mvla_sim.imaging.threshold_rules.given import GivenThresholds
 from mvla_sim.interrupt import interruptible
 from mvla_sim.progress import progress
 
@@ -164,7 +166,7 @@ def plan_entries(
     entries = []
     for name in dict.fromkeys(methods):
         settings = protocol_settings(dataset.campaign, name, overrides)
-        entries.append(Entry(label or _label(name), settings, find_method(name).digest))
+        entries.append(Entry(label or _label(name), settings, METHODS.find(name).digest()))
     labels = [entry.label for entry in entries]
     if double := next((one for one in labels if labels.count(one) > 1), None):
         raise ConfigError(f"methods: two are called {double}; score them one by one, with a label", setting="label")
@@ -225,7 +227,7 @@ def _run(
 def _over(
     dataset: BenchmarkDataset,
     settings: Sequence[ImagingSettings],
-    thresholds: Sequence[ThresholdSettings | None],
+    thresholds: Sequence[GivenThresholds | None],
     cluster: Cluster,
 ) -> list[list[Attempt]]:
     """Apply methods to every sample of a split; attempts of each method, by sample."""
@@ -241,11 +243,11 @@ def _over(
 
 
 def _label(name: str) -> str:
-    parts = split_method(name)
-    if parts is None:
+    """A method's name; of a function of a file without its folder."""
+    if not names_a_file(name):
         return name
-    file, function = parts
-    return file.stem if function == "image" else f"{file.stem}:{function}"
+    method = METHODS.find(name).name.rpartition("/")[2]
+    return method.removesuffix(":image").removesuffix(".py").replace(".py:", ":")
 
 
 def _file(place: Path, label: str) -> Path:

@@ -15,8 +15,8 @@ from mvla_sim.evaluation.metrics import decibel
 from mvla_sim.evaluation.tuning import TruthGeometry, chamfer_for_prefixes
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
-from mvla_sim.imaging.imaging_settings import ThresholdSettings
-from mvla_sim.imaging.threshold import top_count
+from mvla_sim.imaging.threshold_rules.given import GivenThresholds
+from mvla_sim.imaging.thresholds import top_count
 
 __all__ = [
     "SUPPORTS_DEG", "TOP_PERCENTS", "best_db", "best_pair", "chamfer_table", "pack_table", "unpack_table", "worst_db",
@@ -55,13 +55,13 @@ def chamfer_table(image: Image, geometry: TruthGeometry) -> NDArray[np.float32]:
     return table
 
 
-def best_pair(table: NDArray[Any]) -> tuple[ThresholdSettings, float]:
+def best_pair(table: NDArray[Any]) -> tuple[GivenThresholds, float]:
     """The candidates with the least entry of a table ``[n_support, n_percent]``, and that entry, dB(m²).
 
     Where several are equal, the smallest T_θ, then the smallest p.
     """
     row, column = np.unravel_index(int(np.argmin(table)), table.shape)
-    pair = ThresholdSettings(top_percent=TOP_PERCENTS[column], min_support_deg=SUPPORTS_DEG[row])
+    pair = GivenThresholds(top_percent=TOP_PERCENTS[column], min_support_deg=SUPPORTS_DEG[row])
     return pair, float(table[row, column])
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, PositiveFloat
 
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.candidates import chamfer_table
@@ -15,12 +16,27 @@ from mvla_sim.evaluation.ground_truth import check_inside, rasterize
 from mvla_sim.evaluation.metrics import Scores, score
 from mvla_sim.evaluation.ranking import average_precision
 from mvla_sim.evaluation.tuning import Optimum, TruthGeometry, optimal_thresholds
-from mvla_sim.imaging.automatic import thresholds_of
 from mvla_sim.imaging.image import Image
-from mvla_sim.imaging.imaging_settings import EvaluationSettings
-from mvla_sim.imaging.threshold import joint_threshold, top_count
+from mvla_sim.imaging.thresholds import THRESHOLD_RULES, ThresholdRule, joint_threshold
+from mvla_sim.settings import Settings
 
-__all__ = ["Evaluation", "evaluate", "ground_truth"]
+__all__ = ["Evaluation", "EvaluationSettings", "evaluate", "ground_truth"]
+
+
+class EvaluationSettings(Settings):
+    """What the image is compared with, and how."""
+
+    truth: Literal["contour", "filled"] = Field("contour", description="voxels of the outline, or all inside it too")
+    distances_m: tuple[PositiveFloat, ...] = Field((0.05, 0.10), description="for precision, recall and F1")
+    average_precision: bool = Field(
+        False, description="also the area under precision and recall at the largest of these distances; no thresholds"
+    )
+    threshold_map: bool = Field(
+        False, description="also the CD at every candidate pair (p, T_θ), for a calibration by the least mean"
+    )
+    threshold: Annotated[ThresholdRule, THRESHOLD_RULES] | None = Field(
+        None, description="by default the optimum over every p and T_θ; 'auto': from the image, without the truth"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +47,7 @@ class Evaluation:
     ----------
     protocol
         ``optimal``: thresholds chosen with the ground truth (an oracle); ``given``: thresholds from the settings;
-        ``auto``: from the image, without the truth.
+        ``auto``, or the name of another rule: from the image, without the truth.
     top_percent, min_support_deg
         The thresholds p (per cent of all voxels) and T_θ (degrees) that ``scores`` were measured at.
     scores
@@ -135,10 +151,8 @@ def evaluate(
     if with_optimum or settings.threshold is None:
         optimum = optimal_thresholds(image.score, image.support_deg, geometry)
     if settings.threshold is not None:
-        pair = thresholds_of(settings.threshold, image.score, image.support_deg, image.grid, image.resolution_m)
-        protocol = "auto" if settings.threshold == "auto" else "given"
-        percent, support = pair.top_percent, pair.min_support_deg
-        top_count(percent, image.grid.size)
+        protocol = str(THRESHOLD_RULES.name_of(type(settings.threshold)))
+        percent, support = settings.threshold.thresholds(image.score, image.support_deg, image.grid, image.resolution_m)
     else:
         assert optimum is not None
         protocol, percent, support = "optimal", optimum.top_percent, optimum.min_support_deg

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
 from mvla_sim.evaluation.ground_truth import TruthGeometry
-from mvla_sim.imaging.threshold import rank_order
+from mvla_sim.imaging.thresholds import rank_order
 
 __all__ = ["average_precision"]
 

@@ -36,7 +36,7 @@ from mvla_sim.errors import DataError
 from mvla_sim.evaluation.ground_truth import TruthGeometry, whole_coordinates
 from mvla_sim.evaluation.metrics import chamfer_of_sums, decibel
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.threshold import rank_order
+from mvla_sim.imaging.thresholds import rank_order
 
 __all__ = ["Optimum", "TruthGeometry", "chamfer_for_prefixes", "optimal_thresholds"]
 

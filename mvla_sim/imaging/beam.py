@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from mvla_sim.imaging.imaging_settings import BeamSettings
 from mvla_sim.scene.antenna import Antenna, AntennaPattern, local_angles
+from mvla_sim.settings import Settings
 
-__all__ = ["Beam", "build_beam"]
+__all__ = ["Beam", "BeamSettings", "build_beam"]
 
 
-@dataclass(frozen=True)
+class BeamSettings(Settings):
+    """Where a view's antennas reach; antennas without a pattern reach everywhere."""
+
+    edge_db: Annotated[float, Field(lt=0)] | None = Field(
+        -3.0,
+        description="one-way level below the peak at which the covered sector ends, where nothing is projected any "
+        "more; 'none': project everywhere",
+    )
+
+
+@dataclass(frozen=True, eq=False)
 class Beam:
     """Which directions off the boresight count as illuminated.
 

@@ -32,7 +32,7 @@ def spread(
     Parameters
     ----------
     tables
-        :class:`~mvla_sim.imaging.kernels.Tables` of the views; the profiles in them are not looked at.
+        :class:`~mvla_sim.imaging.kernels.DeviceTables` of the views; the profiles in them are not looked at.
     image
         x_n, flat ``[n_voxel]`` on the device.
     grid

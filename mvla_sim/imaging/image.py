@@ -23,7 +23,7 @@ SCHEMA = "mvla-sim image"
 SCHEMA_VERSION = 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Image:
     """A continuous image on a grid.
 
@@ -60,6 +60,11 @@ class Image:
     resolution_m: float | None = None
     config: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        nx, ny, nz = self.grid.counts
+        binary = "" if self.occupied is None else f", {self.occupied.sum()} occupied"
+        return f"Image({self.method}, {self.n_view} views, {nx} × {ny} × {nz} voxels{binary})"
 
     def __post_init__(self) -> None:
         """Check shapes against the grid."""

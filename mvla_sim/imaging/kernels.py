@@ -20,7 +20,7 @@ BACKEND = activate()
 
 import drjit as dr  # noqa: E402 - only after the backend has chosen its library
 
-__all__ = ["BACKEND", "BeamTables", "Tables", "project_block"]
+__all__ = ["BACKEND", "BeamTables", "DeviceTables", "project_block"]
 
 _NO_GAP = 360.0
 
@@ -52,7 +52,7 @@ class BeamTables:
 
 
 @dataclass(frozen=True)
-class Tables:
+class DeviceTables:
     """Device arrays of one projection.
 
     Attributes
@@ -84,7 +84,7 @@ class Tables:
 
 @dr.syntax
 def project_block(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0915, PLR0917
-    tables: Tables,
+    tables: DeviceTables,
     grid: tuple[Any, ...],
     axis: tuple[Any, ...],
     radius: Any,
@@ -105,10 +105,10 @@ def project_block(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0915, PLR
       (−1: none);
     * ``unbroken``: whether every view supports the voxel;
 
-    and, where :attr:`Tables.ends` is given, the same of directions instead of views: a direction is all views of one
-    angle; it supports a voxel if any of them does, and one that does not see it neither breaks nor extends a run. Then
-    also ``head`` and ``tail``, the angles before the first and after the last direction that sees the voxel, ``least``,
-    the smallest gap between two neighbours that do, and ``known``, whether any does.
+    and, where :attr:`DeviceTables.ends` is given, the same of directions instead of views: a direction is all views of
+    one angle; it supports a voxel if any of them does, and one that does not see it neither breaks nor extends a run.
+    Then also ``head`` and ``tail``, the angles before the first and after the last direction that sees the voxel,
+    ``least``, the smallest gap between two neighbours that do, and ``known``, whether any does.
     """
     t = backend
     nx, ny, x0, y0, z0, spacing = grid

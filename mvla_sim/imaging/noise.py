@@ -1,76 +1,67 @@
-"""Noise at a given SNR, in the PDP domain as in the paper or on the complex CIR."""
+"""Noise at a given SNR, in the PDP domain as in the paper or on the complex CIR: what all kinds of it have."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, NonNegativeInt
 
-from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.imaging_settings import NoiseSettings
-from mvla_sim.imaging.pdp import Pdp, frequency_count
+from mvla_sim.imaging.pdp import Pdp
+from mvla_sim.kinds import Kind, Kinds
 from mvla_sim.streams import Stream, stream
 
-__all__ = ["add_noise"]
+__all__ = ["NOISES", "Noise"]
+
+NOISES: Final[Kinds[Noise]] = Kinds(
+    "noise kind", "mvla_sim.noises", "mvla_sim.imaging.noises", key="kind", default="gaussian"
+)
+"""All kinds of noise by name."""
 
 
-def add_noise(pdp: Pdp, settings: NoiseSettings) -> Pdp:
-    """Return the profiles with noise; without ``snr_db`` they are returned as they are.
+class Noise(Kind):
+    """Noise at a given SNR; the realisation depends on the seed and a view's place in the file alone.
 
-    Each view draws from a stream of its own, named by its index in ``pdp``, so add noise to all views of a file first
-    and select views after.
-
-    Notes
-    -----
-    With ⟨·⟩ the mean over the gate (of one view, or of all with ``reference = "all"``) and ρ = 10^(SNR/10):
-
-    * ``gaussian``: P + n, n ~ N(0, σ²), σ² = ⟨P²⟩/ρ. The signal whose power is measured is the PDP itself, as the usual
-      AWGN tools with 'measured' power do. The noise has zero mean, so the result may be negative.
-    * ``exponential``: P + n, n exponential of mean √(⟨P²⟩/(2ρ)), so that ⟨n²⟩ = ⟨P²⟩/ρ: noise power behind a square-law
-      detector that does not beat with the signal.
-    * ``complex``: |h + n|², n circular Gaussian of power ⟨|h|²⟩/ρ, of the signal's own band and window.
-
-    The first two are white on the profile's axis, as the paper adds them to its PDPs, so the noise in a resolution cell
-    falls as ``pdp.oversampling`` rises; ``complex`` does not depend on it.
-
-    Raises
-    ------
-    ConfigError
-        ``complex`` noise on profiles whose complex amplitude is not known.
+    A kind of noise has the field ``kind``, a ``Literal`` of its name, and :meth:`drawn`.
     """
-    if settings.snr_db is None:
-        return pdp
-    ratio = 10 ** (settings.snr_db / 10)
-    generators = [stream(settings.seed, Stream.NOISE, view) for view in range(pdp.power.shape[0])]
-    count = pdp.power.shape[1]
-    if settings.kind == "complex":
-        if pdp.amplitude is None:
-            raise ConfigError("noise.kind = 'complex' needs complex amplitudes; these profiles hold power only")
-        scale = np.sqrt(_mean(pdp.power, settings) / ratio)
-        amplitude = pdp.amplitude + scale[:, None] * np.array([_band_noise(g, pdp) for g in generators])
-        return replace(pdp, power=np.abs(amplitude) ** 2, amplitude=amplitude)
-    second_moment = _mean(pdp.power**2, settings) / ratio
-    if settings.kind == "exponential":
-        draw = np.array([g.standard_exponential(count) for g in generators])
-        return replace(pdp, power=pdp.power + np.sqrt(second_moment / 2)[:, None] * draw, amplitude=None)
-    draw = np.array([g.standard_normal(count) for g in generators])
-    return replace(pdp, power=pdp.power + np.sqrt(second_moment)[:, None] * draw, amplitude=None)
 
+    kinds: ClassVar[Kinds[Noise]] = NOISES
+    uses_amplitude: ClassVar[bool] = False
+    """Whether it is added to complex amplitudes."""
 
-def _band_noise(random: np.random.Generator, pdp: Pdp) -> NDArray[np.complex128]:
-    """Circular Gaussian noise of mean power 1 that is white over the band before the window, ``[n_range]``."""
-    samples = pdp.power.shape[1]
-    count = frequency_count(samples, pdp.oversampling)
-    weights = pdp.window.weights(count)
-    draw = random.standard_normal(2 * count)
-    length = count * pdp.oversampling
-    noise = np.fft.ifft(weights * (draw[:count] + 1j * draw[count:]), length)[:samples]
-    center = np.exp(-1j * np.pi * (count - 1) / length * np.arange(samples))  # the band is centred on the carrier
-    return np.asarray(noise * center * (length / np.sqrt(2 * (weights**2).sum())), np.complex128)
+    snr_db: Annotated[float, Field(ge=-100, le=200)] | None = Field(20.0, description="SNR in dB; 'none': no noise")
+    reference: Literal["view", "all"] = Field("view", description="whose mean square is the signal: a view's or all's")
+    seed: NonNegativeInt = Field(0, description="of the realisation")
 
+    def add(self, pdp: Pdp, numbers: NDArray[np.intp] | None = None) -> Pdp:
+        """Return the profiles with noise; without ``snr_db`` they are returned as they are.
 
-def _mean(values: NDArray[np.float64], settings: NoiseSettings) -> NDArray[np.float64]:
-    """Mean over the gate per view, or of all views for each, ``[n_view]``."""
-    per_view = values.mean(axis=1)
-    return per_view if settings.reference == "view" else np.full_like(per_view, per_view.mean())
+        Parameters
+        ----------
+        pdp
+            Profiles without noise.
+        numbers
+            Number of each of their views in its file, ``[n_view]``, which names the view's stream of random numbers; by
+            default 0, 1, 2 …
+
+        Raises
+        ------
+        ConfigError
+            This kind needs complex amplitudes, and these profiles hold power only.
+        """
+        if self.snr_db is None:
+            return pdp
+        places = range(len(pdp.power)) if numbers is None else numbers
+        generators = [stream(self.seed, Stream.NOISE, int(view)) for view in places]
+        return self.drawn(pdp, 10 ** (self.snr_db / 10), generators)
+
+    def drawn(self, pdp: Pdp, ratio: float, generators: Sequence[np.random.Generator]) -> Pdp:
+        """Add noise at a ratio ρ = 10^(SNR/10) of signal to noise, from one generator a view."""
+        raise NotImplementedError
+
+    def mean_over_gate(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """⟨·⟩ of ``[n_view, n_range]``: the mean over the gate per view, or of all views for each, ``[n_view]``."""
+        per_view = values.mean(axis=1)
+        return per_view if self.reference == "view" else np.full_like(per_view, per_view.mean())

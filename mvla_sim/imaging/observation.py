@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import Beam
-from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import Projection, RangeProfiles, project
 from mvla_sim.scene.views import Views
 
+if TYPE_CHECKING:
+    from mvla_sim.imaging.imaging_settings import ImagingSettings
+
 __all__ = ["Estimate", "FrontEnd", "Observation"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrontEnd:
     """What every method starts from, for all views of a file.
 
@@ -42,7 +45,7 @@ class FrontEnd:
         return FrontEnd(pdp, self.peaks.select(indices), self.resolution_m)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """What a method returns.
 
@@ -58,7 +61,7 @@ class Estimate:
     support_deg: NDArray[np.float32] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Observation:
     """What a method sees.
 
@@ -80,7 +83,7 @@ class Observation:
         The sector that each view's antennas cover; None: everywhere.
     made
         Range profiles of the method, where they were made before; see :meth:`Method.profiles
-        <mvla_sim.imaging.methods.base.Method.profiles>`.
+        <mvla_sim.imaging.method.Method.profiles>`.
     """
 
     front: FrontEnd
@@ -91,6 +94,9 @@ class Observation:
     span_m: tuple[float, float]
     beam: Beam | None = None
     made: RangeProfiles | None = None
+
+    def __repr__(self) -> str:
+        return f"Observation({self.n_view} views, {self.peaks.range_m.size} peaks, {self.grid.size} voxels)"
 
     @property
     def pdp(self) -> Pdp:

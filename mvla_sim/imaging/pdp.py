@@ -3,27 +3,46 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.constants import range_resolution, range_to_delay
-from mvla_sim.dsp import Window
+from mvla_sim.dsp import Window, path_spectrum, range_profiles
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.imaging_settings import PdpSettings
 from mvla_sim.memory import check_memory
 from mvla_sim.scene.views import Views
+from mvla_sim.settings import Settings
 
-__all__ = ["Pdp", "compute_pdp", "frequency_count", "gate_for"]
+__all__ = ["Pdp", "PdpSettings", "compute_pdp", "frequency_count", "gate_for"]
 
 _MARGIN_CELLS = 16  # resolution cells kept on both sides of the gate, so that the DFT's wrap-around stays outside it
 _BYTES_PER_SAMPLE = 96  # amplitude and power, noise, and copies of them while they are made
 
 
-@dataclass(frozen=True)
+class PdpSettings(Settings):
+    """From paths to a band-limited power delay profile (``eq:PDP``)."""
+
+    window: Literal["hann", "hamming", "blackman", "kaiser", "rectangular"] = Field("hann", description="over the band")
+    kaiser_beta: Annotated[float, Field(ge=0, le=40, description="β of the Kaiser window")] = 6.0
+    oversampling: Annotated[int, Field(ge=1, le=64, description="samples per 1/B of delay")] = 4
+    gate_m: tuple[NonNegativeFloat, PositiveFloat] | None = Field(
+        None, description="one-way range interval kept; by default the ranges at which the grid is seen"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> PdpSettings:
+        if self.gate_m is not None and self.gate_m[0] >= self.gate_m[1]:
+            raise ValueError(f"gate_m = {list(self.gate_m)} must be [near, far] with near below far")
+        return self
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Pdp:
     """Power delay profiles of M views on one range axis.
 
@@ -55,6 +74,10 @@ class Pdp:
     window: Window = field(default_factory=Window)
     oversampling: int = 1
     carrier_hz: float = float("nan")
+
+    def __repr__(self) -> str:
+        near, far = self.range_m[[0, -1]]
+        return f"Pdp({len(self.power)} views, {self.power.shape[1]} samples from {near:.2f} to {far:.2f} m)"
 
     @property
     def range_m(self) -> NDArray[np.float64]:
@@ -100,8 +123,7 @@ def compute_pdp(channel: Cir | FrequencyResponse, settings: PdpSettings, gate_m:
     h(τ) = Σ_k W_k H_k exp(j2πf_kτ) / Σ_k W_k. The gate is cut out afterwards, so nothing leaks in by the cut.
 
     The channel of paths is sampled at K = B·T frequencies over the band, with T the gate's length plus a margin:
-    H(f_k) = W(f_k) Σ_i g_i exp(−j2πf_k τ_i), an exact non-uniform DFT. With z_i = exp(−j2π(B/K)τ_i) and k = b·k₁ + k₂
-    it is one matrix product, H[k₁, k₂] = Σ_i (g_i z_i^{b·k₁}) z_i^{k₂}, so only K/b + b powers a path are formed.
+    H(f_k) = W(f_k) Σ_i g_i exp(−j2πf_k τ_i), an exact non-uniform DFT; see :func:`~mvla_sim.dsp.path_spectrum`.
     The inverse FFT is zero-padded to the oversampled axis and divided by Σ W. Paths outside gate and margin are left
     out, as range gating before the transform would.
     """
@@ -117,21 +139,31 @@ def compute_pdp(channel: Cir | FrequencyResponse, settings: PdpSettings, gate_m:
     )
     if isinstance(channel, FrequencyResponse):
         _check_unambiguous(channel, settings, gate_m)
-        amplitude = _transformed(channel, window, settings.oversampling, first, count)
-        power = amplitude.real**2 + amplitude.imag**2
-        return Pdp(
-            power, amplitude, first * step, step, resolution, window.broadening, window, settings.oversampling,
-            channel.carrier_hz,
-        )  # fmt: skip
-    cir = channel
-    margin = _MARGIN_CELLS * settings.oversampling
-    frequencies = frequency_count(count, settings.oversampling)
+        weights = window.weights(channel.response.shape[1])
+        length = weights.size * settings.oversampling
+        amplitude = range_profiles(channel.response, weights, length, np.arange(first, first + count))
+    else:
+        amplitude = _of_paths(channel, window, settings.oversampling, (first, count), gate_m)
+    power = amplitude.real**2 + amplitude.imag**2
+    return Pdp(
+        power, amplitude, first * step, step, resolution, window.broadening, window, settings.oversampling,
+        channel.carrier_hz,
+    )  # fmt: skip
+
+
+def _of_paths(
+    cir: Cir, window: Window, oversampling: int, samples: tuple[int, int], gate_m: tuple[float, float]
+) -> NDArray[np.complex128]:
+    """Band-limited impulse responses at so many samples from a first one on, ``[n_view, count]``."""
+    first, count = samples
+    step = range_resolution(cir.bandwidth_hz) / oversampling
+    margin = _MARGIN_CELLS * oversampling
+    frequencies = frequency_count(count, oversampling)
     weights = window.weights(frequencies)
     spacing_hz = cir.bandwidth_hz / frequencies
     lowest_hz = -(frequencies - 1) / 2 * spacing_hz
     axis_start_s = float(range_to_delay((first - margin) * step))
-    length = frequencies * settings.oversampling
-
+    length = frequencies * oversampling
     low, high = (first - margin / 2) * step, (first + count + margin / 2) * step
     ranges = cir.range_m
     inside = (ranges >= low) & (ranges <= high)
@@ -141,24 +173,13 @@ def compute_pdp(channel: Cir | FrequencyResponse, settings: PdpSettings, gate_m:
             away = np.maximum(gate_m[0] - ranges, ranges - gate_m[1]).min()
             where = f"they lie from {ranges.min():.2f} to {ranges.max():.2f} m, the nearest {away:.2f} m outside"
         raise DataError(f"no path lies inside the range gate of {gate_m[0]:.2f} to {gate_m[1]:.2f} m; {where}")
-
-    amplitude = np.empty((cir.n_view, count), np.complex128)
-    turn = np.exp(
-        2j * np.pi * lowest_hz * np.arange(margin, margin + count) / (cir.bandwidth_hz * settings.oversampling)
-    )
+    spectra = np.empty((cir.n_view, frequencies), np.complex128)
     for view in range(cir.n_view):
         rows = cir.rows(view)
         kept = inside[rows]
         delay = cir.delay_s[rows][kept] - axis_start_s
-        gain = cir.gain[rows][kept] * np.exp(-2j * np.pi * lowest_hz * delay)
-        spectrum = weights * _power_sums(gain, np.exp(-2j * np.pi * spacing_hz * delay), frequencies)
-        impulse = np.fft.ifft(spectrum, length)[margin : margin + count]
-        amplitude[view] = impulse * turn * (length / weights.sum())
-    power = amplitude.real**2 + amplitude.imag**2
-    return Pdp(
-        power, amplitude, first * step, step, resolution, window.broadening, window, settings.oversampling,
-        channel.carrier_hz,
-    )  # fmt: skip
+        spectra[view] = path_spectrum(cir.gain[rows][kept], delay, lowest_hz, spacing_hz, frequencies)
+    return range_profiles(spectra, weights, length, np.arange(margin, margin + count))
 
 
 def _check_unambiguous(channel: FrequencyResponse, settings: PdpSettings, gate_m: tuple[float, float]) -> None:
@@ -176,38 +197,6 @@ def _check_unambiguous(channel: FrequencyResponse, settings: PdpSettings, gate_m
     raise DataError(f"the grid is seen at ranges of {gate_m[0]:.2f} to {gate_m[1]:.2f} m; {why}")
 
 
-def _transformed(
-    channel: FrequencyResponse, window: Window, oversampling: int, first: int, count: int
-) -> NDArray[np.complex128]:
-    """Windowed inverse FFT of every view at ``count`` samples from sample ``first`` on, ``[n_view, count]``."""
-    frequencies = channel.response.shape[1]
-    weights = window.weights(frequencies)
-    length = frequencies * oversampling
-    place = np.arange(first, first + count)
-    turn = np.exp(-1j * np.pi * (frequencies - 1) * place / length) * (length / weights.sum())
-    amplitude = np.empty((channel.n_view, count), np.complex128)
-    for view, response in enumerate(channel.response):
-        amplitude[view] = np.fft.ifft(weights * response, length)[place % length] * turn
-    return amplitude
-
-
 def frequency_count(samples: int, oversampling: int) -> int:
     """Number of frequencies K over the band for an axis of ``samples`` and the margins on both sides of it."""
     return -(-(samples + 2 * _MARGIN_CELLS * oversampling) // oversampling)
-
-
-def _power_sums(gain: NDArray[np.complex128], base: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
-    """Σ_i gain_i·base_i^k for k = 0 … count−1, as one matrix product."""
-    block = max(1, int(np.sqrt(count)))
-    inner = _powers(base, block)
-    outer = gain * _powers(inner[-1] * base, -(-count // block))
-    return np.asarray((outer @ inner.T).reshape(-1)[:count], np.complex128)
-
-
-def _powers(base: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
-    """base^k for k = 0 … count−1, ``[count, n]``."""
-    powers = np.empty((count, base.size), np.complex128)
-    powers[0] = 1
-    for k in range(1, count):
-        np.multiply(powers[k - 1], base, out=powers[k])
-    return powers

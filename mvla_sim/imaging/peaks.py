@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import find_peaks
+from pydantic import Field, PositiveFloat
 
 from mvla_sim.errors import DataError
-from mvla_sim.imaging.imaging_settings import PeakSettings
 from mvla_sim.imaging.pdp import Pdp
+from mvla_sim.kinds import Kind, Kinds
 
-__all__ = ["Peaks", "extract_peaks"]
+__all__ = ["DETECTORS", "PeakDetector", "Peaks"]
 
-_MAD_TO_SIGMA = 1.4826  # median absolute deviation of a normal distribution is σ/1.4826
+DETECTORS: Final[Kinds[PeakDetector]] = Kinds(
+    "peak detector", "mvla_sim.detectors", "mvla_sim.imaging.detectors", key="kind", default="local-maxima"
+)
+"""All peak detectors by name."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Peaks:
     """Detected components of M views, view after view, by increasing range within a view.
 
@@ -42,6 +46,9 @@ class Peaks:
                             f"{self.row_size.sum()}; these must agree")  # fmt: skip
         if not (np.isfinite(self.range_m).all() and np.isfinite(self.power).all() and (self.power > 0).all()):
             raise DataError("peaks: ranges must be finite and powers above 0")
+
+    def __repr__(self) -> str:
+        return f"Peaks({self.range_m.size} in {self.n_view} views)"
 
     @classmethod
     def none(cls, n_view: int) -> Peaks:
@@ -72,53 +79,33 @@ class Peaks:
         return Peaks(self.range_m[taken], self.power[taken], self.row_size[indices])
 
 
-def extract_peaks(pdp: Pdp, settings: PeakSettings) -> Peaks:
-    """Detect multipath components in every view.
+class PeakDetector(Kind):
+    """A way to find multipath components in profiles.
 
-    A sample is a component if it is a local maximum above the threshold and no stronger one is closer than the minimum
-    separation. The noise floor is estimated from the profile itself, never from the true noise: the median is the
-    level, 1.4826 times the median absolute deviation the standard deviation, both insensitive to the few samples that
-    hold echoes.
-
-    Parameters
-    ----------
-    pdp
-        Profiles, noisy or clean.
-    settings
-        Threshold in standard deviations over the floor and in dB under the strongest sample; separation in resolution
-        cells (1/B times the window's broadening); refinement.
-
-    Raises
-    ------
-    DataError
-        No view has any peak.
+    A detector has the field ``kind``, a ``Literal`` of its name, and :meth:`peaks_of`, which never looks at the true
+    noise.
     """
-    distance = max(1.0, settings.min_separation * pdp.broadening * pdp.resolution_m / pdp.step_m)
-    ranges, powers, sizes = [], [], []
-    for power in pdp.power:
-        level = np.median(power)
-        sigma = _MAD_TO_SIGMA * np.median(np.abs(power - level))
-        floor = max(level + settings.threshold_sigma * sigma, power.max() * 10 ** (-settings.dynamic_range_db / 10))
-        found, _ = find_peaks(power, height=max(floor, np.finfo(np.float64).tiny), distance=distance)
-        shift, height = _vertex(power, found) if settings.refine else (np.zeros(found.size), power[found])
-        if settings.max_peaks is not None and found.size > settings.max_peaks:
-            strongest = np.sort(np.argsort(-height, kind="stable")[: settings.max_peaks])
-            found, shift, height = found[strongest], shift[strongest], height[strongest]
-        ranges.append(pdp.start_m + pdp.step_m * (found + shift))
-        powers.append(height)
-        sizes.append(found.size)
-    if not sum(sizes):
-        raise DataError(
-            f"no peak in any of {len(sizes)} views; lower peaks.threshold_sigma (now {settings.threshold_sigma:g}) "
-            f"or raise the SNR"
-        )
-    return Peaks(np.concatenate(ranges), np.concatenate(powers), np.array(sizes, np.int64))
 
+    kinds: ClassVar[Kinds[PeakDetector]] = DETECTORS
 
-def _vertex(power: NDArray[np.float64], found: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Vertex of the parabola through each peak and its neighbours: shift in samples (within ±1/2) and height."""
-    left, middle, right = power[found - 1], power[found], power[found + 1]
-    curvature = left - 2 * middle + right
-    safe = np.where(curvature < 0, curvature, -1.0)  # a flat top has no curvature and stays where it is
-    shift = np.where(curvature < 0, 0.5 * (left - right) / safe, 0.0)
-    return shift, middle - 0.25 * (left - right) * shift
+    threshold_sigma: PositiveFloat = Field(4.0, description="threshold above the median, in robust standard deviations")
+
+    def peaks_of(self, pdp: Pdp) -> Peaks:
+        """Find the components of every view, each on its own; views may have none."""
+        raise NotImplementedError
+
+    def extract(self, pdp: Pdp) -> Peaks:
+        """Find the components of every view.
+
+        Raises
+        ------
+        DataError
+            No view has any.
+        """
+        peaks = self.peaks_of(pdp)
+        if not peaks.range_m.size:
+            raise DataError(
+                f"no peak in any of {peaks.n_view} views; lower peaks.threshold_sigma (now {self.threshold_sigma:g}) "
+                "or raise the SNR"
+            )
+        return peaks

@@ -1,158 +1,308 @@
-"""From a CIR to an image: the stages in order."""
+"""From a channel to an image: the stages in order, each a function, and what they made last kept."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.components import Components
-from mvla_sim.channel.impairments import assumed_views, impair_channel, remaining_views
+from mvla_sim.channel.impairments import ImpairmentSettings, assumed_views, impair_channel
 from mvla_sim.channel.loading import Channel
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.constants import range_resolution
 from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.automatic import thresholds_of
 from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.image import Image
-from mvla_sim.imaging.imaging_settings import ImagingSettings, NoiseSettings, ViewSettings
-from mvla_sim.imaging.methods.base import Method
-from mvla_sim.imaging.methods.registry import find_method
-from mvla_sim.imaging.noise import add_noise
+from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
+from mvla_sim.imaging.noise import Noise
 from mvla_sim.imaging.observation import FrontEnd, Observation
-from mvla_sim.imaging.pdp import compute_pdp, gate_for
-from mvla_sim.imaging.peaks import Peaks, extract_peaks
+from mvla_sim.imaging.pdp import Pdp, PdpSettings, compute_pdp, gate_for
+from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import check_grid
-from mvla_sim.imaging.threshold import joint_threshold
+from mvla_sim.imaging.thresholds import joint_threshold
+from mvla_sim.imaging.view_selection import chosen_views
+from mvla_sim.scene.antenna import Antenna
 from mvla_sim.scene.views import Views
 
-__all__ = ["check_peaks", "chosen_views", "front_end", "impaired", "reconstruct", "select_views"]
+__all__ = [
+    "Pipeline", "ProfiledChannel", "effective_noise", "observe", "profile_channel", "profile_key", "reconstruct",
+    "views_needed",
+]  # fmt: skip
+
+Value = TypeVar("Value")
+ProfileKey = tuple[ImpairmentSettings | None, PdpSettings, tuple[float, float]]
 
 
-def impaired(channel: Channel, settings: ImagingSettings, grid: VoxelGrid) -> Channel:
-    """Return the channel as the settings impair it; it alone is what imaging sees of it.
+@dataclass(frozen=True, eq=False, repr=False)
+class ProfiledChannel:
+    """A channel behind the first stages: impaired, its profiles computed, no noise added yet.
 
-    The range gate, where false echoes are too, is that of the assumed positions.
+    Attributes
+    ----------
+    pdp
+        Profiles of the views ``numbers``; None for channels that hold components alone.
+    components
+        The channel's own components of these views; None for the others.
+    numbers
+        Which views of the file these are, ``[n]``, rising.
+    views
+        All views of the file, where imaging believes them to be.
+    true_views
+        All views of the file, where they are; these decide which are chosen.
+    resolution_m
+        ΔR, metres.
+    extent_m
+        The target's extent D, metres; NaN where it is not known.
+    outline
+        The target's cross-section, which imaging never looks at; None where it is not known.
+    antenna
+        Pattern of the antennas, which tells where their beam reaches.
+    measured
+        Whether it has noise of its own, so that none is added unless the settings ask for it by name.
+    """
+
+    pdp: Pdp | None
+    components: Peaks | None
+    numbers: NDArray[np.intp]
+    views: Views
+    true_views: Views
+    resolution_m: float
+    extent_m: float
+    outline: Any
+    antenna: Antenna
+    measured: bool
+
+    def __repr__(self) -> str:
+        return f"ProfiledChannel({self.numbers.size} of {len(self.views)} views, ΔR {self.resolution_m:.3g} m)"
+
+
+def views_needed(views: Views, settings: ImagingSettings) -> NDArray[np.intp]:
+    """Views of a file, at their true positions, whose profiles an image is made of, ``[n]`` rising.
+
+    They are the chosen ones, or all where the noise's power depends on all.
 
     Raises
     ------
     ConfigError
-        An impairment that this kind of channel does not take, or a delay would become negative.
+        The settings choose views that the file does not have, or none.
     """
-    own = settings.impairments.of_channel(settings.noise.seed)
-    if own is None:
-        return channel
-    return impair_channel(channel, own, gate_for(grid, assumed_views(channel.views, own), settings.pdp))
+    chosen = chosen_views(views, settings.views, settings.impairments, settings.noise.seed)
+    return np.arange(len(views)) if settings.noise.reference == "all" else chosen
 
 
-def front_end(channel: Channel, settings: ImagingSettings, grid: VoxelGrid) -> FrontEnd:
-    """Compute PDPs, add noise and, for methods that look at them, extract peaks, for all views of the file.
+def profile_key(settings: ImagingSettings, views: Views) -> ProfileKey:
+    """What decides a channel's profiles before noise: impairments, PDP settings, range gate (near, far) in metres.
 
-    Components are taken as they are. Frequency responses are measured and get no noise but their own, unless the
-    settings ask for it by name.
-
-    Raises
-    ------
-    ConfigError
-        A method that needs profiles of components, which are none, or a gate that does not fit the data.
-    DataError
-        No path inside the gate, or no peak in any view.
+    The gate, where false echoes are too, is that of the assumed positions.
     """
-    method = find_method(settings.method)
-    if isinstance(channel, Components):
-        if method.uses_pdp:
-            raise ConfigError(
-                f"method = '{settings.method}': this file holds ready-made components; {settings.method} needs "
-                "profiles, use mvla-gr"
-            )
-        peaks = Peaks(channel.range_m, channel.power, channel.row_size)
-        return FrontEnd(None, peaks, range_resolution(channel.bandwidth_hz))
-    assert isinstance(channel, Cir | FrequencyResponse)
-    gate = gate_for(grid, channel.views, settings.pdp)
-    pdp = add_noise(compute_pdp(channel, settings.pdp, gate), _noise(channel, settings.noise))
-    peaks = extract_peaks(pdp, settings.peaks) if method.uses_peaks else Peaks.none(channel.n_view)
-    return FrontEnd(pdp, peaks, pdp.resolution_m)
+    impairments = settings.impairments.of_channel(settings.noise.seed)
+    seen = views if impairments is None else assumed_views(views, impairments)
+    return impairments, settings.pdp, gate_for(VoxelGrid.from_settings(settings.grid), seen, settings.pdp)
 
 
-def _noise(channel: Channel, settings: NoiseSettings) -> NoiseSettings:
-    """Settings of the noise that is really added: none to components, nor to measured channels unless it is set."""
-    asked = not isinstance(channel, FrequencyResponse) or "snr_db" in settings.model_fields_set
-    added = asked and not isinstance(channel, Components)
-    return settings if added else settings.model_copy(update={"snr_db": None})
-
-
-def select_views(views: Views, settings: ViewSettings) -> NDArray[np.intp]:
-    """Indices of every ``interval_deg``-th view from view ``offset`` on.
-
-    Raises
-    ------
-    ConfigError
-        The views are not evenly spaced, the interval is no multiple of their spacing or, on a closed trajectory, does
-        not divide them, or the offset is not below the number of patterns.
-    """
-    if settings.interval_deg is None:
-        if settings.offset:
-            raise ConfigError(f"views.offset = {settings.offset} needs views.interval_deg")
-        return np.arange(len(views))
-    angles = np.unwrap(np.deg2rad(views.angles_deg))
-    steps = np.rad2deg(np.diff(angles))
-    spacing = abs(float(steps[0])) if steps.size else 0.0
-    if spacing == 0 or np.abs(steps - steps[0]).max() > 1e-3 * spacing:
-        raise ConfigError(f"views.interval_deg = {settings.interval_deg:g}: the file's views are not evenly spaced")
-    stride = round(settings.interval_deg / spacing)
-    turn = min(len(views), round(360 / spacing)) if views.closed else len(views)  # of several turns, a turn each height
-    strides = [k for k in range(1, turn + 1) if not (views.closed and turn % k)]
-    if stride not in strides or abs(stride * spacing - settings.interval_deg) > 1e-3 * spacing:
-        allowed = [f"{k * spacing:.4g}" for k in strides]
-        raise ConfigError(
-            f"views.interval_deg = {settings.interval_deg:g} does not divide the file's {len(views)} views at "
-            f"{spacing:.4g}°; allowed: {', '.join(allowed[:12])}{', …' if len(allowed) > 12 else ''}"
-        )
-    if settings.offset >= stride:
-        raise ConfigError(f"views.offset = {settings.offset}: at {settings.interval_deg:g}° allowed: 0 to {stride - 1}")
-    return np.arange(settings.offset, len(views), stride)
-
-
-def chosen_views(views: Views, settings: ImagingSettings) -> NDArray[np.intp]:
-    """Indices of the views that an image is made of: of those of :func:`select_views` what is neither lost nor blocked.
+def profile_channel(
+    channel: Channel,
+    settings: ImagingSettings,
+    only: NDArray[np.intp] | None = None,
+    *,
+    with_amplitude: bool = True,
+) -> ProfiledChannel:
+    """Run the first stages: impairments, then power delay profiles.
 
     Parameters
     ----------
-    views
-        All views of the file, at their true positions.
+    channel
+        Paths, frequency responses or components.
     settings
-        ``views``, ``impairments``, and the seed of ``noise`` where the impairments have none.
+        Impairments, PDP settings, and the grid, which decides the range gate.
+    only
+        Views whose profiles are needed, ``[n]`` rising; by default all. It changes no number.
+    with_amplitude
+        Keep the complex amplitudes, which complex noise and coherent methods alone need.
 
     Raises
     ------
     ConfigError
-        As :func:`select_views`, or no view is left.
-    """
-    chosen = select_views(views, settings.views)
-    own = settings.impairments
-    if not own.missing_share and not own.sector_width_deg:
-        return chosen
-    seed = settings.noise.seed if own.seed is None else own.seed
-    return remaining_views(views, chosen, own.model_copy(update={"seed": seed}))
-
-
-def check_peaks(method: Method, front: FrontEnd) -> None:
-    """Refuse to make an image of peaks where no chosen view has one.
-
-    Raises
-    ------
+        An impairment that this kind of channel does not take, or a gate that does not fit the data.
     DataError
-        The number of views, and what helps.
+        No path inside the gate.
     """
-    if method.uses_peaks and not method.uses_pdp and front.peaks.range_m.size == 0:
-        raise DataError(
-            f"no peak in any of the {front.peaks.n_view} chosen views; lower peaks.threshold_sigma or raise the SNR"
+    impairments, pdp_settings, gate_m = profile_key(settings, channel.views)
+    numbers = np.arange(channel.n_view) if only is None else only
+    seen = channel if impairments is None else impair_channel(channel, impairments, gate_m)
+    views = seen.views
+    if numbers.size < channel.n_view:
+        seen = seen.select(numbers)
+    pdp, components = None, None
+    if isinstance(seen, Components):
+        components = Peaks(seen.range_m, seen.power, seen.row_size)
+    else:
+        assert isinstance(seen, Cir | FrequencyResponse)
+        pdp = compute_pdp(seen, pdp_settings, gate_m)
+        if not with_amplitude:
+            pdp = replace(pdp, amplitude=None)
+    return ProfiledChannel(
+        pdp=pdp,
+        components=components,
+        numbers=numbers,
+        views=views,
+        true_views=channel.views,
+        resolution_m=range_resolution(channel.bandwidth_hz),
+        extent_m=channel.extent_m,
+        outline=channel.outline,
+        antenna=channel.antenna,
+        measured=not isinstance(channel, Cir),
+    )
+
+
+class Pipeline:
+    """The stages behind the profiles of one channel: noise, peaks, the method's own profiles, projection, thresholds.
+
+    What a stage made last is kept until it is asked for something else, so images in an order in which neighbours share
+    settings cost little.
+
+    Parameters
+    ----------
+    channel
+        What :func:`profile_channel` returned, for the settings that are used here.
+    """
+
+    def __init__(self, channel: ProfiledChannel) -> None:
+        self.channel = channel
+        self._kept: dict[str, tuple[Hashable, Any]] = {}
+
+    def keep(self, stage: str, key: Hashable, make: Callable[[], Value]) -> Value:
+        """Return what a stage makes, the last value where the key is the last one's."""
+        if stage not in self._kept or self._kept[stage][0] != key:
+            self._kept[stage] = (key, make())
+        value: Value = self._kept[stage][1]
+        return value
+
+    def front_end(self, settings: ImagingSettings) -> FrontEnd:
+        """Profiles with noise and, for methods that look at them, peaks, of the views ``channel.numbers``.
+
+        Components are taken as they are. Measured channels get no noise but their own, unless the settings ask for it.
+
+        Raises
+        ------
+        ConfigError
+            A method that needs profiles of components, which are none.
+        DataError
+            No peak in any view.
+        """
+        channel, method = self.channel, settings.chosen
+        if channel.components is not None:
+            if method.uses_pdp:
+                raise ConfigError(
+                    f"method = '{settings.method}': this file holds ready-made components; {settings.method} needs "
+                    "profiles, use mvla-gr"
+                )
+            return FrontEnd(None, channel.components, channel.resolution_m)
+        clean, noise = channel.pdp, effective_noise(channel, settings.noise)
+        assert clean is not None
+        pdp = self.keep("noise", noise, lambda: noise.add(clean, channel.numbers))
+        peaks = Peaks.none(channel.numbers.size)
+        if method.uses_peaks:
+            peaks = self.keep("peaks", (noise, settings.peaks), lambda: settings.peaks.extract(pdp))
+        return FrontEnd(pdp, peaks, channel.resolution_m)
+
+    def observation(self, settings: ImagingSettings) -> Observation:
+        """What a method sees of the chosen views.
+
+        Raises
+        ------
+        ConfigError, DataError
+            As :meth:`front_end`; or no chosen view has a peak, and the method looks at nothing else.
+        """
+        channel, method = self.channel, settings.chosen
+        grid = VoxelGrid.from_settings(settings.grid)
+        chosen = chosen_views(channel.true_views, settings.views, settings.impairments, settings.noise.seed)
+        rows = np.searchsorted(channel.numbers, chosen)
+        seen = Observation(
+            front=self.front_end(settings),
+            views=self.keep("views", None, lambda: channel.views.select(channel.numbers)),
+            grid=grid,
+            settings=settings,
+            extent_m=channel.extent_m,
+            span_m=grid.range_span_m(channel.views.positions_m, channel.views.receivers_m),
+            beam=self.keep("beam", settings.beam, lambda: build_beam(channel.antenna, settings.beam)),
+        )
+        found = seen.peaks.row_size[rows].sum()
+        if method.uses_peaks and not method.uses_pdp and found == 0:
+            raise DataError(
+                f"no peak in any of the {rows.size} chosen views; lower peaks.threshold_sigma or raise the SNR"
+            )
+        key = (method.name, method, settings.mvla, settings.noise, settings.peaks, seen.span_m)
+        made = self.keep("profiles", key, lambda: method.profiles(seen))
+        return replace(seen, made=made).select(rows)
+
+    def image(self, settings: ImagingSettings) -> Image:
+        """Make the image; with ``settings.threshold`` the binary one too.
+
+        Raises
+        ------
+        ConfigError, DataError
+            A setting does not fit the channel, or nothing is left to project.
+        """
+        seen = self.observation(settings)
+        result = settings.chosen.image(seen)
+        occupied = None
+        if settings.threshold is not None:
+            pair = settings.threshold.thresholds(result.score, result.support_deg, seen.grid, seen.resolution_m)
+            occupied = joint_threshold(result.score, result.support_deg, *pair)
+        return Image(
+            score=result.score,
+            support_deg=result.support_deg,
+            grid=seen.grid,
+            method=settings.method,
+            n_view=seen.n_view,
+            occupied=occupied,
+            outline=self.channel.outline,
+            resolution_m=seen.resolution_m,
         )
 
 
-def reconstruct(channel: Channel, settings: ImagingSettings | None = None) -> Image:
+def effective_noise(channel: ProfiledChannel, noise: Noise) -> Noise:
+    """The noise that is really added: none to components, nor to measured channels unless it is set."""
+    asked = not channel.measured or "snr_db" in noise.model_fields_set
+    added = asked and channel.components is None
+    return noise if added else noise.model_copy(update={"snr_db": None})
+
+
+def observe(
+    channel: Channel,
+    settings: ImagingSettings | None = None,
+    *,
+    method: str | Callable[..., Any] | None = None,
+    **values: Any,
+) -> Observation:
+    """What a method would see of a channel: noisy profiles and peaks of the chosen views, and the grid.
+
+    Parameters and errors are those of :func:`reconstruct`.
+
+    Returns
+    -------
+    Observation
+        ``pdp``, ``peaks`` and ``views`` of the same views. Of components ``front.pdp`` is None.
+    """
+    settings = _given(settings, method, values)
+    return _started(channel, settings).observation(settings)
+
+
+def reconstruct(
+    channel: Channel,
+    settings: ImagingSettings | None = None,
+    *,
+    method: str | Callable[..., Any] | None = None,
+    **values: Any,
+) -> Image:
     """Make an image from a channel.
 
     Parameters
@@ -161,6 +311,8 @@ def reconstruct(channel: Channel, settings: ImagingSettings | None = None) -> Im
         All views: traced paths, measured frequency responses, or ready-made components.
     settings
         Method, grid, front end, noise, views and impairments; the defaults are the paper's.
+    method, **values
+        Instead of ``settings``, as for :func:`imaging_settings`: ``reconstruct(cir, method="bp", interval_deg=10)``.
 
     Returns
     -------
@@ -172,40 +324,26 @@ def reconstruct(channel: Channel, settings: ImagingSettings | None = None) -> Im
     ConfigError, DataError
         A setting does not fit the file, or nothing is left to project.
     """
-    settings = settings or ImagingSettings()
-    grid = VoxelGrid.from_settings(settings.grid)
-    check_grid(grid)
-    chosen = chosen_views(channel.views, settings)
-    channel = impaired(channel, settings, grid)
-    front = front_end(channel, settings, grid).select(chosen)
-    method = find_method(settings.method)
-    check_peaks(method, front)
-    seen = Observation(
-        front=front,
-        views=channel.views.select(chosen),
-        grid=grid,
-        settings=settings,
-        extent_m=channel.extent_m,
-        span_m=grid.range_span_m(channel.views.positions_m, channel.views.receivers_m),
-        beam=build_beam(channel.antenna, settings.beam),
-    )
-    result = method.image(seen)
-    occupied = None
-    if settings.threshold is not None:
-        chosen_pair = thresholds_of(settings.threshold, result.score, result.support_deg, grid, seen.resolution_m)
-        occupied = joint_threshold(
-            result.score, result.support_deg, chosen_pair.top_percent, chosen_pair.min_support_deg
-        )
-    used = settings.model_copy(update={"noise": _noise(channel, settings.noise)})
-    return Image(
-        score=result.score,
-        support_deg=result.support_deg,
-        grid=grid,
-        method=settings.method,
-        n_view=seen.n_view,
-        occupied=occupied,
-        outline=channel.outline,
-        resolution_m=seen.resolution_m,
+    settings = _given(settings, method, values)
+    check_grid(VoxelGrid.from_settings(settings.grid))
+    stages = _started(channel, settings)
+    used = settings.model_copy(update={"noise": effective_noise(stages.channel, settings.noise)})
+    return replace(
+        stages.image(settings),
         config={"simulation": dict(channel.config), "imaging": used.model_dump(mode="json")},
         provenance={**provenance(), **{f"cir.{key}": value for key, value in channel.provenance.items()}},
     )
+
+
+def _given(settings: ImagingSettings | None, method: Any, values: dict[str, Any]) -> ImagingSettings:
+    if settings is None:
+        return imaging_settings(method=method, **values)
+    if method is not None or values:
+        names = ", ".join([*(["method"] if method is not None else []), *values])
+        raise ConfigError(f"settings are given, and {names} beside them; give one or the other")
+    return settings
+
+
+def _started(channel: Channel, settings: ImagingSettings) -> Pipeline:
+    """The stages behind the profiles of the views that an image needs."""
+    return Pipeline(profile_channel(channel, settings, views_needed(channel.views, settings)))

@@ -24,7 +24,7 @@ _SAME_DEG = 1e-9  # angles this near to each other are one: coordinates of one d
 _PER_LANE = 4  # rows a thread: they read neighbouring nodes, so more of them need less of the memory
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class RangeProfiles:
     """Range profiles q_m of M views on one uniform range axis, linear between its nodes.
 
@@ -57,6 +57,9 @@ class RangeProfiles:
         if self.nearest_m is not None and self.nearest_m.shape != self.values.shape:
             raise ConfigError(f"profiles: nearest has shape {self.nearest_m.shape}, values {self.values.shape}")
 
+    def __repr__(self) -> str:
+        return f"RangeProfiles({self.values.shape[0]} views, {self.values.shape[1]} nodes of {self.step_m:.3g} m)"
+
     @property
     def n_view(self) -> int:
         """Number of views M."""
@@ -68,7 +71,7 @@ class RangeProfiles:
         return replace(self, values=self.values[indices], nearest_m=nearest)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Projection:
     """Result of :func:`project`.
 
@@ -151,7 +154,7 @@ def project(
     t = kernels.BACKEND.arrays
     import drjit as dr  # noqa: PLC0415 - only after the backend has chosen its library
 
-    order, angles = _along(views)
+    order, angles = _by_angle(views)
     tables = _upload_tables(kernels, views.select(order), angles, profiles.select(order), beam)
     gaps = np.diff(angles)
     nx, ny, nz = grid.counts
@@ -219,7 +222,7 @@ def _upload_tables(
     t = kernels.BACKEND.arrays
     gaps = np.diff(angles, prepend=angles[:1])
     apart = np.append(gaps[1:] > _SAME_DEG, True)
-    return kernels.Tables(
+    return kernels.DeviceTables(
         view=_four(t, views.positions_m, gaps),
         values=_upload(t, profiles.values),
         gated=profiles.gated,
@@ -255,7 +258,7 @@ def _four(t: Any, triples: NDArray[np.float64], fourth: NDArray[np.float64]) -> 
     return t.Float32(np.column_stack([triples, fourth]).astype(np.float32).ravel())
 
 
-def _along(views: Views) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def _by_angle(views: Views) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Order of the views by angle, and their angles, rising; an open trajectory starts behind its widest gap."""
     around = np.where(views.angles_deg >= 360 - _SAME_DEG, views.angles_deg - 360, views.angles_deg)
     order = np.argsort(around, kind="stable")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from mvla_sim.dsp import Window
+from mvla_sim.dsp import Window, noise_level
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import Beam
 from mvla_sim.imaging.forward import RangeOperator
@@ -20,14 +20,13 @@ from mvla_sim.imaging.observation import Observation
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.scene.views import Views
 
-__all__ = ["LinearModel", "background", "noise_level", "pulse_power", "scale_of"]
+__all__ = ["LinearModel", "background", "pulse_power", "scale_of"]
 
 _FREQUENCIES = 4096  # of the sum over the band that makes a pulse
 _FINE = 64  # nodes a resolution cell where the main lobe's end is looked for
 _REACH_CELLS = 32  # no main lobe reaches farther: β = 40 of a Kaiser window ends at 12.8 cells
 _LEAST = 1e-6  # of the strongest sample: the background where profiles have none
 _TINY = 1e-12  # of the strongest sample: a deviation that is none
-_MAD_TO_SIGMA = 1.4826  # median absolute deviation of a normal distribution is σ/1.4826
 
 
 def pulse_power(window: Window, oversampling: int) -> NDArray[np.float64]:
@@ -46,15 +45,6 @@ def pulse_power(window: Window, oversampling: int) -> NDArray[np.float64]:
     end = int(np.flatnonzero(np.diff(fine) > 0)[0])
     taps = power(np.arange(end * oversampling // _FINE + 1) / oversampling)
     return np.asarray(taps[: np.flatnonzero(taps > _LEAST)[-1] + 1])
-
-
-def noise_level(power: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Level and standard deviation of each profile's noise, ``[n_view]`` each, from the profiles ``[n_view, n_range]``.
-
-    As the peak detector has them: the median, and 1.4826 times the median absolute deviation.
-    """
-    level = np.median(power, axis=1)
-    return level, _MAD_TO_SIGMA * np.median(np.abs(power - level[:, None]), axis=1)
 
 
 def background(power: NDArray[np.float64]) -> NDArray[np.float64]:

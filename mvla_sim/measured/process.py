@@ -24,10 +24,10 @@ from mvla_sim.channel.simulate import simulate
 from mvla_sim.channel.synthesis import SynthesisSettings, synthesize, write_sweeps
 from mvla_sim.errors import OutputError
 from mvla_sim.evaluation.boxes import Box, bounding_box, box_of_outline, largest_parts
-from mvla_sim.evaluation.evaluate import Evaluation, evaluate
+from mvla_sim.evaluation.evaluate import Evaluation, EvaluationSettings, evaluate
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
-from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings
+from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.scene.world import Scene
 from mvla_sim.settings import Settings, apply_overrides, parse, read_toml

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
-from mvla_sim.imaging.methods.registry import title_of
+from mvla_sim.imaging.method import title_of
 from mvla_sim.plot.style import COLORS, DOUBLE_COLUMN_IN, Given, figure_legend, figure_style, new_figure, save_figure
 from mvla_sim.sweep.plan import Plan
 

@@ -13,7 +13,7 @@ import pandas as pd
 
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
-from mvla_sim.imaging.methods.registry import title_of
+from mvla_sim.imaging.method import title_of
 from mvla_sim.paper.ablation import ablation_table, plot_ablation
 from mvla_sim.paper.fair import EXPLAINED, WAYS, automatic_cost, fair_table, plot_fair
 from mvla_sim.paper.page import Section, table_html

@@ -11,7 +11,7 @@ from mvla_sim.channel.cir import Cir
 from mvla_sim.evaluation.evaluate import evaluate
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.imaging_settings import imaging_settings
-from mvla_sim.imaging.mvla import likelihood_profiles
+from mvla_sim.imaging.likelihood import likelihood_profiles
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.imaging.projection import project

@@ -11,7 +11,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from mvla_sim.errors import DataError
-from mvla_sim.imaging.methods.registry import title_of
+from mvla_sim.imaging.method import title_of
 from mvla_sim.plot.curves import LINE_COLORS, MARKERS
 from mvla_sim.plot.style import DOUBLE_COLUMN_IN, Given, figure_legend, figure_style, new_figure
 

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError
-from mvla_sim.imaging.methods.registry import title_of
+from mvla_sim.imaging.method import title_of
 from mvla_sim.plot.curves import DASHES, LINE_COLORS, MARKERS
 from mvla_sim.plot.style import DOUBLE_COLUMN_IN, Given, figure_legend, figure_style, new_figure, save_figure
 from mvla_sim.sweep.plan import Plan

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from mvla_sim.channel.loading import CHANNEL_SCHEMAS, Channel, load_channel
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.evaluation.evaluate import evaluate, ground_truth
+from mvla_sim.evaluation.evaluate import EvaluationSettings, evaluate, ground_truth
 from mvla_sim.evaluation.ground_truth import rasterize
 from mvla_sim.evaluation.metrics import score
 from mvla_sim.files import existing_file
 from mvla_sim.grid import GridSettings, VoxelGrid
 from mvla_sim.imaging.image import SCHEMA as IMAGE_SCHEMA
 from mvla_sim.imaging.image import Image
-from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings, imaging_settings
-from mvla_sim.imaging.methods.registry import title_of
-from mvla_sim.imaging.pipeline import chosen_views, front_end, impaired
+from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
+from mvla_sim.imaging.method import title_of
+from mvla_sim.imaging.pipeline import observe
 from mvla_sim.netcdf import schema_of
 from mvla_sim.plot.drawing import view_count
 from mvla_sim.plot.image_figures import plot_comparison, plot_image, score_caption
@@ -98,13 +98,10 @@ def draw_waterfall(channel: Channel, output: Path, settings: ImagingSettings) ->
     DataError
         The file holds components, which are no profiles.
     """
-    grid = VoxelGrid.from_settings(settings.grid)
-    chosen = chosen_views(channel.views, settings)
-    channel = impaired(channel, settings, grid)
-    front = front_end(channel, settings, grid).select(chosen)
-    if front.pdp is None:
+    seen = observe(channel, settings)
+    if seen.front.pdp is None:
         raise DataError("this file holds ready-made components and no profiles; make an image of it and draw that")
-    save_figure(plot_waterfall(front.pdp, channel.views.select(chosen), front.peaks), output)
+    save_figure(plot_waterfall(seen.pdp, seen.views, seen.peaks), output)
 
 
 def draw_scene(scene_file: str | Path, output: Path, overrides: Sequence[str]) -> None:

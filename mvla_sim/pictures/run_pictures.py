@@ -9,7 +9,7 @@ import pandas as pd
 
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.imaging.imaging_settings import imaging_settings
-from mvla_sim.imaging.methods.registry import title_of
+from mvla_sim.imaging.method import title_of
 from mvla_sim.pictures.file_pictures import draw_waterfall, truth_of
 from mvla_sim.plot.curves import plot_curves
 from mvla_sim.plot.drawing import view_count
@@ -76,7 +76,9 @@ def _draw_shown(plan: Plan, folder: Path) -> list[Path]:
 
 def _draw_channel(plan: Plan, channel: str, folder: Path) -> list[Path]:
     """Draw a scene and the waterfall of its profiles."""
-    scene, imaging = plan.scenes[channel], plan.experiment.imaging
+    scene, imaging = plan.sources[channel].scene, plan.experiment.imaging
+    if scene is None:
+        return []
     pictures = [folder / f"{scene.name}-scene{suffix}" for suffix in (".png", ".pdf")]
     for picture in pictures:
         save_figure(plot_scene(scene, *truth_of(scene, imaging.grid)), picture)
@@ -89,7 +91,7 @@ def _draw_curve(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
     """Draw CD against the interval where that is all that varies, beside method, offset and seed."""
     axes = ["interval_deg", "method"]
     others = [a for a in plan.experiment.axes if a not in (*axes, *AVERAGED)]
-    if others or len(plan.files) > 1 or not {*axes, "cd_db"} <= set(table) or table["interval_deg"].nunique() < 2:
+    if others or len(plan.names) > 1 or not {*axes, "cd_db"} <= set(table) or table["interval_deg"].nunique() < 2:
         return []
     figure = plot_curves(
         averaged(table, axes),

@@ -14,7 +14,7 @@ from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError
-from mvla_sim.imaging.methods.registry import title_of
+from mvla_sim.imaging.method import title_of
 from mvla_sim.plot.drawing import Panel
 from mvla_sim.plot.style import COLORS, MAPS, SINGLE_COLUMN_IN, figure_legend, figure_style, new_figure
 

@@ -21,7 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from mvla_sim.errors import DataError
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
-from mvla_sim.imaging.methods.registry import title_of
+from mvla_sim.imaging.method import title_of
 from mvla_sim.plot.style import COLORS, MAPS, Given, new_figure
 from mvla_sim.scene.views import Views
 

@@ -16,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.boxes import Box
 from mvla_sim.imaging.image import Image
-from mvla_sim.imaging.methods.registry import title_of
+from mvla_sim.imaging.method import title_of
 from mvla_sim.plot.drawing import (
     HIT,
     OVER_MAP,

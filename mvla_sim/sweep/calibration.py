@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.evaluation.candidates import best_pair, unpack_table
 from mvla_sim.files import existing_file
-from mvla_sim.imaging.imaging_settings import ThresholdSettings
+from mvla_sim.imaging.threshold_rules.given import GivenThresholds
 from mvla_sim.sweep.experiment import CalibrationSettings, dotted_key
 from mvla_sim.sweep.table import MAPS, RECORD, load_maps, load_table
 
@@ -121,7 +121,7 @@ class Calibration:
 
     source: Path
     by: tuple[str, ...]
-    found: Mapping[tuple[str | None, ...], ThresholdSettings]
+    found: Mapping[tuple[str | None, ...], GivenThresholds]
 
     @classmethod
     def load(cls, settings: CalibrationSettings, folder: Path) -> Calibration:
@@ -154,14 +154,14 @@ class Calibration:
         else:
             chosen = average_thresholds(table, by, settings.over)
         found = {
-            tuple(_normal(record[name]) for name in by): ThresholdSettings(
+            tuple(_normal(record[name]) for name in by): GivenThresholds(
                 top_percent=float(record["top_percent"]), min_support_deg=float(record["min_support_deg"])
             )
             for record in chosen.to_dict("records")
         }
         return cls(source, by, found)
 
-    def thresholds(self, columns: Mapping[str, Any]) -> ThresholdSettings:
+    def thresholds(self, columns: Mapping[str, Any]) -> GivenThresholds:
         """Thresholds of a case, by its scene name, axis values and settings.
 
         Raises

@@ -9,14 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings
-from mvla_sim.imaging.methods.registry import find_method
+from mvla_sim.evaluation.evaluate import EvaluationSettings
+from mvla_sim.imaging.imaging_settings import ImagingSettings
+from mvla_sim.imaging.method import METHODS
 from mvla_sim.scene.world import SceneSettings
 from mvla_sim.sweep.experiment import AxisValue
 
 __all__ = ["MAP", "ROW_SCHEMA", "Case", "Row", "case_key", "flatten", "setting_columns"]
 
-ROW_SCHEMA: Final = 2
+ROW_SCHEMA: Final = 3
 """Version of what a stored row holds and of how its numbers are made; rows of another version are not used."""
 
 MAP: Final = "threshold_map"
@@ -35,9 +36,9 @@ class Case:
     number
         Place in the plan, from 0.
     scene, imaging, evaluation
-        Complete, validated settings.
+        Complete, validated settings; scene is None where the channel is that of a file.
     channel
-        Name of the scene's CIR in the cache; cases of one channel share it.
+        Key of the channel's :class:`~mvla_sim.sweep.sources.Source`; cases of one channel share it.
     key
         What identifies the case wherever and whenever it is planned; see :func:`case_key`.
     values
@@ -45,7 +46,7 @@ class Case:
     """
 
     number: int
-    scene: SceneSettings
+    scene: SceneSettings | None
     imaging: ImagingSettings
     evaluation: EvaluationSettings
     channel: str
@@ -86,11 +87,12 @@ def case_key(channel: str, imaging: ImagingSettings, evaluation: EvaluationSetti
     data = {
         "schema": ROW_SCHEMA,
         "channel": channel,
-        "imaging": imaging.model_dump(mode="json", exclude=None if imaging.impairments.acting else {"impairments"}),
+        "imaging": imaging.model_dump(mode="json"),
         "evaluation": evaluation.model_dump(mode="json"),
     }
-    if digest := find_method(imaging.method).digest:  # somebody's method: their code decides as well
-        data["method"] = digest
+    method = METHODS.find(imaging.method)
+    if method not in METHODS.own():  # somebody's method: their code decides as well
+        data["method"] = method.digest()
     return hashlib.sha256(json.dumps(data, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
@@ -99,8 +101,9 @@ def setting_columns(case: Case) -> dict[str, Any]:
     blocks = {
         "imaging": case.imaging.model_dump(mode="json"),
         "evaluation": case.evaluation.model_dump(mode="json"),
-        "scene": case.scene.model_dump(mode="json", exclude={"name", "description"}),
     }
+    if case.scene is not None:
+        blocks["scene"] = case.scene.model_dump(mode="json", exclude={"name", "description"})
     return dict(case.values) | dict(flatten(blocks))
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from mvla_sim.imaging.imaging_settings import SHORT_NAMES, EvaluationSettings, ImagingSettings
+from mvla_sim.evaluation.evaluate import EvaluationSettings
+from mvla_sim.imaging.imaging_settings import SHORT_NAMES, ImagingSettings
 from mvla_sim.scene.world import SceneSettings
 from mvla_sim.settings import Settings, apply_overrides, parse, read_toml, resolve_beside
 from mvla_sim.shipped import find
@@ -30,6 +31,13 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w-]*$")]
 ALL = "all"
 """The value of the axis ``offset`` that stands for every offset of a case's interval."""
 
+BLOCKS: Final[Mapping[str, type[Settings]]] = {
+    "imaging": ImagingSettings,
+    "evaluation": EvaluationSettings,
+    "scene": SceneSettings,
+}
+"""Whose settings may be swept, by the first part of a dotted key."""
+
 OFFSET = f"imaging.{SHORT_NAMES['offset']}"
 """The full dotted key of ``offset``."""
 
@@ -37,14 +45,16 @@ OFFSET = f"imaging.{SHORT_NAMES['offset']}"
 def dotted_key(axis: str) -> str | None:
     """Full dotted key of the setting that an axis names; None where it has the form of none.
 
-    Settings of a scene need no ``scene.`` in front: ``trajectory.interval_deg`` is one.
+    ``kappa``, ``mvla.kappa`` and ``imaging.mvla.kappa`` are one.
     """
     if axis in SHORT_NAMES:
         return f"imaging.{SHORT_NAMES[axis]}"
     block, _, rest = axis.partition(".")
-    if block in SceneSettings.model_fields and (rest or block in ("plane_height_m", "outline")):
+    if block in BLOCKS:
+        return axis if rest else None
+    if axis in ("plane_height_m", "outline"):
         return f"scene.{axis}"
-    return axis if rest and block in ("imaging", "evaluation", "scene") else None
+    return next((f"{owner}.{axis}" for owner, model in BLOCKS.items() if rest and block in model.model_fields), None)
 
 
 class CalibrationSettings(Settings):
@@ -106,7 +116,9 @@ class ExperimentSettings(Settings):
 
     name: Name
     description: str = ""
-    scenes: Annotated[tuple[str, ...], Field(min_length=1)]
+    scenes: tuple[str, ...] = Field((), description="scene files, which are traced")
+    channels: tuple[str, ...] = Field((), description="channel files, as of mvla import")
+    truth: str | None = Field(None, description="scene file whose outline is the truth of channels that carry none")
     imaging: ImagingSettings = ImagingSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     calibration: CalibrationSettings | None = Field(None, description="thresholds from another experiment's table")
@@ -141,6 +153,8 @@ class ExperimentSettings(Settings):
 
     @model_validator(mode="after")
     def _check(self) -> ExperimentSettings:
+        if not (self.scenes or self.channels):
+            raise ValueError("scenes: give a scene file at least, or channel files in channels")
         for wanted in self.show:
             for key in wanted:
                 if key != "scene" and key not in self.axes:
@@ -161,6 +175,11 @@ class ExperimentSettings(Settings):
         return self
 
 
+def _full_key(key: str) -> str:
+    """Key in an experiment file of any name that a setting goes by."""
+    return key if key.split(".", maxsplit=1)[0] in ExperimentSettings.model_fields else dotted_key(key) or key
+
+
 def load_experiment(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> ExperimentSettings:
     """Read an experiment file, or one that comes with the package; scenes are files relative to it, or shipped ones.
 
@@ -170,9 +189,13 @@ def load_experiment(path: str | os.PathLike[str], overrides: Sequence[str] = ())
         One line that names the file, the key, its value and what is allowed.
     """
     file = find("experiments", path)
-    data: dict[str, Any] = apply_overrides(read_toml(file, "experiment file"), overrides)
+    data: dict[str, Any] = apply_overrides(read_toml(file, "experiment file"), overrides, _full_key)
     if isinstance(data.get("scenes"), list):
         data["scenes"] = [str(find("scenes", s, file.parent)) if isinstance(s, str) else s for s in data["scenes"]]
+    if isinstance(data.get("channels"), list):
+        data["channels"] = [resolve_beside(c, file.parent) if isinstance(c, str) else c for c in data["channels"]]
+    if isinstance(data.get("truth"), str):
+        data["truth"] = str(find("scenes", data["truth"], file.parent))
     if isinstance(data.get("variants"), str):
         variants = resolve_beside(data["variants"], file.parent)
         data["variants"] = read_toml(variants, "file of variants").get("variants", [])

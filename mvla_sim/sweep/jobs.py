@@ -5,28 +5,39 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from mvla_sim.channel.impairments import ImpairmentSettings
 from mvla_sim.channel.simulate import cache_file, simulate
 from mvla_sim.engine.cache import cache_folder, is_shared, pull, push
-from mvla_sim.errors import DataError, OutputError
-from mvla_sim.imaging.imaging_settings import PdpSettings
+from mvla_sim.errors import DataError, OutputError, reason
+from mvla_sim.imaging.imaging_settings import ImagingSettings
+from mvla_sim.imaging.pipeline import Pipeline, ProfiledChannel
 from mvla_sim.scene.world import Scene
-from mvla_sim.sweep.batch import Batch, CaseRunner, Channel, prepare, reason, run_batch
+from mvla_sim.sweep.batch import load_profiles, run_batch
 from mvla_sim.sweep.case import Case, Row
 
-__all__ = ["Failed", "prepare_here", "prepare_sent", "prepare_shared", "run_cases", "trace_and_send", "trace_and_share"]
-
-Gate = tuple[float, float]
-Impairments = ImpairmentSettings | None
+__all__ = [
+    "Failed", "ProfileArguments", "prepare_here", "prepare_sent", "prepare_shared", "run_cases", "trace_and_send",
+    "trace_and_share",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Failed:
-    """Profiles that could not be made; ``damaged`` where their CIR file cannot be read."""
+    """Profiles that could not be made; ``damaged`` where their channel file cannot be read."""
 
     error: str
     damaged: bool
+
+
+@dataclass(frozen=True)
+class ProfileArguments:
+    """Arguments of :func:`~mvla_sim.sweep.batch.load_profiles` beside the file."""
+
+    settings: ImagingSettings
+    only: tuple[int, ...] | None = None
+    with_amplitude: bool = True
+    outline: Any = None
 
 
 def trace_and_send(scene: Scene) -> bytes:
@@ -47,49 +58,45 @@ def trace_and_share(scene: Scene) -> None:
     push(file)
 
 
-def prepare_here(
-    file: Path, settings: PdpSettings, gate_m: Gate, impairments: Impairments, with_amplitude: bool
-) -> Channel | Failed:
-    """Compute profiles of a CIR file of this machine; see :func:`mvla_sim.sweep.batch.prepare`."""
+def prepare_here(file: Path, wanted: ProfileArguments) -> ProfiledChannel | Failed:
+    """Compute profiles of a channel file of this machine; see :func:`~mvla_sim.sweep.batch.load_profiles`."""
     try:
-        return prepare(file, settings, gate_m, impairments, with_amplitude=with_amplitude)
+        return load_profiles(
+            file, wanted.settings, wanted.only, with_amplitude=wanted.with_amplitude, outline=wanted.outline
+        )
     except Exception as error:  # noqa: BLE001 - becomes the error of every case that needs it
         return Failed(reason(error), isinstance(error, DataError) and str(file) in str(error))
 
 
-def prepare_sent(
-    content: bytes, settings: PdpSettings, gate_m: Gate, impairments: Impairments, with_amplitude: bool
-) -> Channel | Failed:
+def prepare_sent(content: bytes, wanted: ProfileArguments) -> ProfiledChannel | Failed:
     """The same of the content of a file."""
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "cir.nc"
+        file = Path(folder) / "channel.nc"
         file.write_bytes(content)
-        return prepare_here(file, settings, gate_m, impairments, with_amplitude)
+        return prepare_here(file, wanted)
 
 
-def prepare_shared(
-    name: str, settings: PdpSettings, gate_m: Gate, impairments: Impairments, with_amplitude: bool
-) -> Channel | Failed:
+def prepare_shared(name: str, wanted: ProfileArguments) -> ProfiledChannel | Failed:
     """The same of a CIR of the shared cache, which is kept on this machine as well."""
     file = cache_folder() / "cir" / name
     try:
         pull(file)
     except OutputError as error:
         return Failed(reason(error), False)
-    result = prepare_here(file, settings, gate_m, impairments, with_amplitude)
+    result = prepare_here(file, wanted)
     if isinstance(result, Failed) and result.damaged:
         file.unlink(missing_ok=True)
     return result
 
 
-def run_cases(channel: Channel | Failed, cases: tuple[Case, ...]) -> list[Row] | Failed:
+def run_cases(channel: ProfiledChannel | Failed, cases: tuple[Case, ...]) -> list[Row] | Failed:
     """Run cases of a channel, one row a case. What the last cases of the same channel had in common is still here."""
     global _last  # noqa: PLW0603 - a worker does one thing at a time
     if isinstance(channel, Failed):
         return channel
     if _last is None or _last.channel is not channel:
-        _last = CaseRunner(channel)
-    return run_batch(Batch(channel, cases), _last)
+        _last = Pipeline(channel)
+    return run_batch(_last, cases)
 
 
-_last: CaseRunner | None = None
+_last: Pipeline | None = None

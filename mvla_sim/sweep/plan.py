@@ -10,15 +10,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from mvla_sim.channel.simulate import cache_file
 from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings, ViewSettings
-from mvla_sim.imaging.pipeline import select_views
+from mvla_sim.evaluation.evaluate import EvaluationSettings
+from mvla_sim.imaging.imaging_settings import ImagingSettings
+from mvla_sim.imaging.view_selection import ViewSettings, select_views
 from mvla_sim.scene.world import Scene, SceneSettings, load_scene
 from mvla_sim.settings import assign, parse
 from mvla_sim.sweep.calibration import Calibration
 from mvla_sim.sweep.case import Case, case_key, setting_columns
 from mvla_sim.sweep.experiment import ALL, OFFSET, AxisValue, ExperimentSettings, dotted_key
+from mvla_sim.sweep.sources import Source, file_source, traced_source
 
 __all__ = ["CASE_LIMIT", "Plan", "expand"]
 
@@ -38,16 +39,21 @@ class Plan:
         The experiment's settings.
     cases
         All cases, by number.
-    scenes
-        The scene of each channel that the cases use.
+    sources
+        Where each channel that the cases use comes from, by its key.
     files
         Settings of each scene file, by the scene's name, before any axis.
     """
 
     experiment: ExperimentSettings
     cases: tuple[Case, ...]
-    scenes: Mapping[str, Scene]
+    sources: Mapping[str, Source]
     files: Mapping[str, SceneSettings]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of scenes and channel files, in the order of the plan."""
+        return tuple(dict.fromkeys(str(case.values["scene"]) for case in self.cases))
 
 
 def expand(experiment: ExperimentSettings, folder: Path | None = None, limit: int | None = CASE_LIMIT) -> Plan:
@@ -72,7 +78,9 @@ def expand(experiment: ExperimentSettings, folder: Path | None = None, limit: in
     """
     if experiment.variants:
         return _expand_variants(experiment, folder, limit)
-    least = len(experiment.scenes) * math.prod(len(values) for values in experiment.axes.values())
+    least = (len(experiment.scenes) + len(experiment.channels)) * math.prod(
+        len(values) for values in experiment.axes.values()
+    )
     _check_limit(experiment, least, "at least ", limit)
     builder = _Builder(experiment)
     points = list(itertools.islice(builder.points(), limit))
@@ -85,13 +93,13 @@ def expand(experiment: ExperimentSettings, folder: Path | None = None, limit: in
         builder.case(number, name, channel, values, calibration)
         for number, (name, channel, values) in enumerate(points)
     )
-    return Plan(experiment, cases, builder.scenes, builder.files)
+    return Plan(experiment, cases, builder.sources, builder.files)
 
 
 def _expand_variants(experiment: ExperimentSettings, folder: Path | None, limit: int | None) -> Plan:
     """Expand each variant as an experiment of its own, its settings as axes of one value, and join the plans."""
     cases: list[Case] = []
-    scenes: dict[str, Scene] = {}
+    sources: dict[str, Source] = {}
     files: Mapping[str, SceneSettings] = {}
     for variant in experiment.variants:
         axes = {**{key: (value,) for key, value in variant.set.items()}, **experiment.axes}
@@ -100,10 +108,10 @@ def _expand_variants(experiment: ExperimentSettings, folder: Path | None, limit:
             values = {"scene": case.values["scene"], "variant": variant.label}
             values |= {axis: value for axis, value in case.values.items() if axis not in variant.set}
             cases.append(replace(case, number=len(cases), values=values))
-        scenes |= plan.scenes
+        sources |= plan.sources
         files = plan.files
         _check_limit(experiment, len(cases), "at least ", limit)
-    return Plan(experiment, tuple(cases), scenes, files)
+    return Plan(experiment, tuple(cases), sources, files)
 
 
 def _check_limit(experiment: ExperimentSettings, count: int, more: str, limit: int | None) -> None:
@@ -124,15 +132,23 @@ class _Builder:
         self.offset = next((axis for axis, key in self.keys.items() if key == OFFSET), None)
         self.all_offsets = self.offset is not None and experiment.axes[self.offset] == (ALL,)
         self.files: dict[str, SceneSettings] = {}
-        self.scenes: dict[str, Scene] = {}
+        self.sources: dict[str, Source] = {}
+        self._of_files: dict[str, Source] = {}
         for file in experiment.scenes:
             scene = load_scene(file)
             if scene.name in self.files:
                 raise ConfigError(f"{file}: name = '{scene.name}' is also the name of another scene of this experiment")
             self.files[scene.name] = scene
+        truth = None if experiment.truth is None else Scene.load(experiment.truth).outline
+        for file in experiment.channels:
+            source = file_source(file, truth)
+            if source.name in (*self.files, *self._of_files):
+                raise ConfigError(f"{file}: '{source.name}' is also the name of another channel of this experiment")
+            self._of_files[source.name] = source
+            self.sources[source.key] = source
         self._blocks = {
-            "imaging": experiment.imaging.model_dump_json(),
-            "evaluation": experiment.evaluation.model_dump_json(),
+            "imaging": experiment.imaging.model_dump_json(exclude_unset=True),
+            "evaluation": experiment.evaluation.model_dump_json(exclude_unset=True),
         }
         self._channels: dict[tuple[Any, ...], str] = {}
         self._parsed: dict[tuple[Any, ...], Any] = {}
@@ -141,7 +157,7 @@ class _Builder:
     def points(self) -> Iterator[tuple[str, str, Values]]:
         """Scene name, channel and axis values of each case; offsets run fastest where they are 'all'."""
         axes = self.experiment.axes
-        for name in self.files:
+        for name in (*self.files, *self._of_files):
             for combination in itertools.product(*axes.values()):
                 values = dict(zip(axes, combination, strict=True))
                 channel = self.channel(name, values)
@@ -156,6 +172,12 @@ class _Builder:
     def channel(self, name: str, values: Values) -> str:
         """Build the scene at these axis values, if it is new, and return the name of its channel."""
         chosen = self._of("scene", values)
+        if name in self._of_files:
+            if chosen:
+                raise ConfigError(
+                    f"{self.source}.{next(iter(chosen))}: the channel {name} is that of a file, not traced"
+                )
+            return self._of_files[name].key
         place = (name, *chosen.items())
         if place not in self._channels:
             settings = self.files[name]
@@ -164,9 +186,9 @@ class _Builder:
                 for axis, value in chosen.items():
                     assign({"scene": data}, self.keys[axis], _plain(value), f"{self.source}.{axis}")
                 settings = parse(SceneSettings, data, self.source)
-            scene = Scene(settings, source=name)
-            self._channels[place] = cache_file(scene).stem
-            self.scenes.setdefault(self._channels[place], scene)
+            source = traced_source(Scene(settings, source=name))
+            self._channels[place] = source.key
+            self.sources.setdefault(source.key, source)
             self._parsed[place] = settings
         return self._channels[place]
 
@@ -177,7 +199,7 @@ class _Builder:
             views = imaging.views.model_copy(update={"offset": values[str(self.offset)]})
             imaging = imaging.model_copy(update={"views": views})
         evaluation: EvaluationSettings = self._block("evaluation", EvaluationSettings, values)
-        scene = self._parsed[(name, *self._of("scene", values).items())]
+        scene = self._parsed.get((name, *self._of("scene", values).items()))
         case = Case(number, scene, imaging, evaluation, channel, "", {"scene": name, **values})
         if calibration is not None:
             thresholds = calibration.thresholds(setting_columns(case))
@@ -211,12 +233,12 @@ class _Builder:
         """Number of offsets of an interval; refuses interval and offset that the scene's views do not have."""
         place = (channel, views)
         if place not in self._strides:
-            scene = self.scenes[channel]
+            source = self.sources[channel]
             try:
-                chosen = select_views(scene.views, views)
+                chosen = select_views(source.views, views)
             except ConfigError as error:
-                raise ConfigError(f"experiment {self.experiment.name}: scene {scene.name}: {error}") from error
-            self._strides[place] = len(scene.views) // len(chosen)
+                raise ConfigError(f"experiment {self.experiment.name}: scene {source.name}: {error}") from error
+            self._strides[place] = len(source.views) // len(chosen)
         return self._strides[place]
 
 

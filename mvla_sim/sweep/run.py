@@ -13,16 +13,17 @@ from typing import Any
 
 import pandas as pd
 
-from mvla_sim.channel.simulate import SimulationInterruptedError, cache_file, simulate
+from mvla_sim.channel.simulate import SimulationInterruptedError
 from mvla_sim.cluster.interface import Cluster, Finished, Shared, WorkerDiedError
 from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.engine.cache import cache_url, discard, pull, push
 from mvla_sim.engine.provenance import provenance
-from mvla_sim.errors import MvlaError, OutputError, RuntimeUnfitError
+from mvla_sim.errors import MvlaError, OutputError, RuntimeUnfitError, reason
 from mvla_sim.files import atomic_output
+from mvla_sim.imaging.pipeline import Pipeline
 from mvla_sim.interrupt import interruptible
 from mvla_sim.progress import Advance, progress
-from mvla_sim.sweep.batch import Batch, Outcome, prepare, reason, results
+from mvla_sim.sweep.batch import Outcome, load_profiles, results
 from mvla_sim.sweep.case import Case, Row
 from mvla_sim.sweep.experiment import ExperimentSettings
 from mvla_sim.sweep.jobs import (
@@ -35,7 +36,7 @@ from mvla_sim.sweep.jobs import (
     trace_and_share,
 )
 from mvla_sim.sweep.plan import Plan, expand
-from mvla_sim.sweep.schedule import Task, tasks_of
+from mvla_sim.sweep.schedule import CaseGroup, groups_of
 from mvla_sim.sweep.store import Store, identity
 from mvla_sim.sweep.table import RECORD, build_table, write_table
 
@@ -166,10 +167,16 @@ def missing_cases(plan: Plan, rows: dict[str, Row]) -> list[Case]:
 def images_of(plan: Plan, cases: Sequence[Case]) -> Iterator[Outcome]:
     """Compute cases in this process and yield them with their images, in the order given; failed ones are left out."""
     found: dict[int, Outcome] = {}
-    for task in tasks_of(plan, cases, 1):
-        simulate(task.scene)
-        channel = prepare(cache_file(task.scene), *task.key[1:], with_amplitude=task.with_amplitude)
-        outcomes = [outcome for _, outcome in results(Batch(channel, task.cases)) if outcome is not None]
+    for group in groups_of(plan, cases, 1):
+        group.source.make()
+        profiles = load_profiles(
+            group.source.file,
+            group.wanted.settings,
+            group.wanted.only,
+            with_amplitude=group.wanted.with_amplitude,
+            outline=group.wanted.outline,
+        )
+        outcomes = [outcome for _, outcome in results(Pipeline(profiles), group.cases) if outcome is not None]
         found |= {outcome.case.number: outcome for outcome in outcomes}
     yield from (found[case.number] for case in cases if case.number in found)
 
@@ -190,21 +197,21 @@ class _Runner:
         self.plan = plan
         self.store = store
         self.notes: list[str] = []
-        self._tasks: list[Task] = []
+        self._groups: list[CaseGroup] = []
         self._editions: dict[int, int] = {}
 
     def run(self, cases: Sequence[Case], cluster: Cluster) -> None:
         """Trace what is not cached, then compute all cases."""
         cluster.start()
         died_before = cluster.deaths
-        self._tasks = tasks_of(self.plan, cases, cluster.count)
+        self._groups = groups_of(self.plan, cases, cluster.count)
         with progress(self.plan.experiment.name, len(cases), "cases") as advance:
             if cluster.remote:
                 ready = self._traced_there(cluster, advance)
             else:
-                ready = [number for number, task in enumerate(self._tasks) if self._traced(task, advance)]
+                ready = [number for number, group in enumerate(self._groups) if self._traced(group, advance)]
             self.store.flush()
-            pieces = [_Piece(number, batch) for number in ready for batch in self._tasks[number].batches]
+            pieces = [_Piece(number, batch) for number in ready for batch in self._groups[number].batches]
             while pieces:
                 again: list[_Piece] = []
                 for index, finished in cluster.run(
@@ -214,46 +221,46 @@ class _Runner:
                     self._check_deaths(cluster.deaths - died_before)
                 pieces = again
 
-    def _traced(self, task: Task, advance: Advance) -> bool:
+    def _traced(self, group: CaseGroup, advance: Advance) -> bool:
         """Make sure that this machine has a CIR; its cases fail where it cannot be traced."""
-        file = cache_file(task.scene)
-        pull(file)
-        if file.exists():
+        source = group.source
+        if source.scene is not None:
+            pull(source.file)
+        if source.file.exists():
             return True  # whether it is whole is found out when it is read
         try:
-            simulate(task.scene)
+            source.make()
         except (OutputError, RuntimeUnfitError, SimulationInterruptedError):
             raise
         except MvlaError as error:
-            self._fail(task.cases, reason(error), advance)
+            self._fail(group.cases, reason(error), advance)
             return False
         return True
 
     def _traced_there(self, cluster: Cluster, advance: Advance) -> list[int]:
-        """Have workers trace what is not there, one scene a task; return the tasks whose CIR is there then."""
+        """Have workers trace what is not there, one scene a task; return the groups whose channel is there then."""
         shared = cache_url() is not None
-        scenes = {task.key[0]: task.scene for task in self._tasks}
+        traced = {group.source.key: group.source for group in self._groups if group.source.scene is not None}
         missing = []
-        for channel, scene in scenes.items():
-            file = cache_file(scene)
-            if file.exists() and shared:
-                push(file)
-            elif not file.exists():
-                missing.append(channel)
+        for key, source in traced.items():
+            if source.file.exists() and shared:
+                push(source.file)
+            elif not source.file.exists():
+                missing.append(key)
         broken: dict[str, str] = {}
         trace = trace_and_share if shared else trace_and_send
-        with progress("tracing", len(missing), "scenes") as traced:
-            tasks = ((scenes[channel],) for channel in missing)
+        with progress("tracing", len(missing), "scenes") as done:
+            tasks = ((traced[key].scene,) for key in missing)
             for index, finished in cluster.run(trace, tasks, label="trace"):
                 if finished.error:
                     broken[missing[index]] = finished.reason
                 elif not shared:
-                    _keep_file(cache_file(scenes[missing[index]]), finished.value)
-                traced(1)
-        for task in self._tasks:
-            if task.key[0] in broken:
-                self._fail(task.cases, broken[task.key[0]], advance)
-        return [number for number, task in enumerate(self._tasks) if task.key[0] not in broken]
+                    _keep_file(traced[missing[index]].file, finished.value)
+                done(1)
+        for group in self._groups:
+            if group.source.key in broken:
+                self._fail(group.cases, broken[group.source.key], advance)
+        return [number for number, group in enumerate(self._groups) if group.source.key not in broken]
 
     def _arguments(self, pieces: Sequence[_Piece], cluster: Cluster) -> Iterator[tuple[Shared, tuple[Case, ...]]]:
         """Channel and cases of each piece; neighbours of one channel share it."""
@@ -263,22 +270,21 @@ class _Runner:
                 yield shared, piece.cases
 
     def _channel(self, number: int, cluster: Cluster) -> Shared:
-        """The profiles of a task's channel: from this machine's file, from its content, or from the shared cache."""
-        task = self._tasks[number]
-        file = cache_file(task.scene)
-        settings = (*task.key[1:], task.with_amplitude)
+        """The profiles of a group's channel: from this machine's file, from its content, or from the shared cache."""
+        group = self._groups[number]
+        file = group.source.file
         if not cluster.remote:
-            return cluster.share(prepare_here, file, *settings)
-        if cache_url() is not None:
-            return cluster.share(prepare_shared, file.name, *settings)
-        return cluster.share(prepare_sent, file.read_bytes(), *settings)
+            return cluster.share(prepare_here, file, group.wanted)
+        if cache_url() is not None and group.source.scene is not None:
+            return cluster.share(prepare_shared, file.name, group.wanted)
+        return cluster.share(prepare_sent, file.read_bytes(), group.wanted)
 
     def _take(self, piece: _Piece, finished: Finished, advance: Advance) -> list[_Piece]:
         """Keep what came of a piece, and return what of it must be run again."""
-        task = self._tasks[piece.number]
+        group = self._groups[piece.number]
         if finished.deaths:
             which = f"case {piece.cases[0].number}" if len(piece.cases) == 1 else f"{len(piece.cases)} cases"
-            self.notes.append(f"a worker died {_times(finished.deaths)} while it ran {which} of {task.scene.name}")
+            self.notes.append(f"a worker died {_times(finished.deaths)} while it ran {which} of {group.source.name}")
         value: Any = finished.value
         if isinstance(finished.error, WorkerDiedError) and len(piece.cases) > 1:
             # One of them may be the cause: each on its own.
@@ -290,19 +296,19 @@ class _Runner:
                 self._keep(row, advance)
         elif value.damaged and (edition := self._retraced(piece, advance)) is not None:
             return [_Piece(piece.number, piece.cases, edition)]
-        elif not value.damaged or piece.edition:
+        elif not value.damaged or piece.edition or group.source.scene is None:
             self._fail(piece.cases, value.error, advance)
         return []
 
     def _retraced(self, piece: _Piece, advance: Advance) -> int | None:
         """Trace a damaged CIR anew, once; the edition to run the piece with, None where that cannot help."""
-        if piece.edition:
+        group = self._groups[piece.number]
+        if piece.edition or group.source.scene is None:
             return None
         if piece.number not in self._editions:
-            task = self._tasks[piece.number]
-            self.notes.append(f"scene {task.scene.name}: the cached CIR was damaged and was traced again")
-            discard(cache_file(task.scene))
-            self._editions[piece.number] = 1 if self._traced(task, advance) else 0
+            self.notes.append(f"scene {group.source.name}: the cached CIR was damaged and was traced again")
+            discard(group.source.file)
+            self._editions[piece.number] = 1 if self._traced(group, advance) else 0
         return self._editions[piece.number] or None
 
     def _check_deaths(self, deaths: int) -> None:
@@ -342,7 +348,8 @@ def _write(plan: Plan, store: Store, folder: Path) -> tuple[pd.DataFrame, list[P
         "cases": {status: int((table["status"] == status).sum()) for status in ("done", "failed", "missing")},
         "provenance": provenance(),
     }
-    record["settings"]["scenes"] = [Path(name).name for name in plan.experiment.scenes]
+    for kind in ("scenes", "channels"):
+        record["settings"][kind] = [Path(name).name for name in getattr(plan.experiment, kind)]
     with atomic_output(folder / RECORD) as temporary:
         temporary.write_text(json.dumps(record, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     return table, write_table(table, folder)

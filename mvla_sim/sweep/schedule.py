@@ -6,13 +6,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from mvla_sim.imaging.methods.registry import find_method
-from mvla_sim.scene.world import Scene
-from mvla_sim.sweep.batch import ChannelKey, channel_key
-from mvla_sim.sweep.case import Case
-from mvla_sim.sweep.plan import Plan
+import numpy as np
 
-__all__ = ["CASE_S", "PREPARE_S", "TRACE_VIEW_S", "Task", "case_seconds", "tasks_of"]
+from mvla_sim.errors import ConfigError
+from mvla_sim.imaging.pipeline import profile_key, views_needed
+from mvla_sim.scene.views import Views
+from mvla_sim.sweep.case import Case
+from mvla_sim.sweep.jobs import ProfileArguments
+from mvla_sim.sweep.plan import Plan
+from mvla_sim.sweep.sources import Source
+
+__all__ = ["CASE_S", "PREPARE_S", "TRACE_VIEW_S", "CaseGroup", "case_seconds", "groups_of"]
 
 # Guesses for one core of 2020, good to a factor of two or so; they order and size the work, and estimate its time as
 # long as nothing was measured.
@@ -32,25 +36,22 @@ BATCHES_PER_S: Final = 200
 """No more of them a second, from all workers together: what a scheduler can hand out at its ease."""
 
 
-@dataclass(frozen=True)
-class Task:
-    """All cases of one channel.
+@dataclass(frozen=True, eq=False)
+class CaseGroup:
+    """All cases of one channel that share profiles.
 
     Attributes
     ----------
-    scene
-        Its scene.
-    key
-        CIR, PDP settings, range gate, and impairments of the CIR.
-    with_amplitude
-        Whether a case needs complex amplitudes.
+    source
+        Where the channel comes from.
+    wanted
+        How its profiles are made.
     batches
         The cases, in pieces for the workers.
     """
 
-    scene: Scene
-    key: ChannelKey
-    with_amplitude: bool
+    source: Source
+    wanted: ProfileArguments
     batches: tuple[tuple[Case, ...], ...]
 
     @property
@@ -60,44 +61,60 @@ class Task:
 
 
 def case_seconds(case: Case, n_view: int) -> float:
-    """Guess of the time a case takes on one core, seconds; ``n_view`` is the number of views of its scene."""
+    """Guess of the time a case takes on one core, seconds; ``n_view`` is the number of views of its channel."""
     settings = case.imaging
+    method = settings.chosen
     interval = settings.views.interval_deg
     views = n_view if interval is None else min(n_view, 360 / interval)
     voxels = 1.0
     for size in settings.grid.size_m:
         voxels *= max(1.0, size / settings.grid.spacing_m)
-    return CASE_S * max(1.0, voxels / 40_000) + VOXEL_VIEW_S[find_method(settings.method).uses_peaks] * views * voxels
+    projection = VOXEL_VIEW_S[method.uses_peaks] * views * voxels
+    return CASE_S * max(1.0, voxels / 40_000) + method.projections * projection
 
 
-def tasks_of(plan: Plan, cases: Sequence[Case], workers: int) -> list[Task]:
-    """Group cases by channel, and cut the groups into batches for so many workers.
+def groups_of(plan: Plan, cases: Sequence[Case], workers: int) -> list[CaseGroup]:
+    """Group cases by what decides their profiles, and cut the groups into batches for so many workers.
 
     Within a group cases are put in an order in which those with the same noise, peaks and profiles are neighbours.
     """
-    groups: dict[ChannelKey, list[Case]] = {}
-    keys: dict[object, ChannelKey] = {}
+    groups: dict[object, list[Case]] = {}
+    keys: dict[object, object] = {}
     for case in cases:
         own = case.imaging.impairments.of_channel(case.imaging.noise.seed)
         place = (case.channel, case.imaging.pdp, case.imaging.grid, own)
         if place not in keys:
-            keys[place] = channel_key(case, plan.scenes[case.channel].views)
+            keys[place] = (case.channel, *profile_key(case.imaging, plan.sources[case.channel].views))
         groups.setdefault(keys[place], []).append(case)
     target = max(BATCH_S, workers / BATCHES_PER_S)
-    return [
-        Task(
-            scene=plan.scenes[key[0]],
-            key=key,
-            with_amplitude=any(_needs_amplitude(case) for case in group),
-            batches=tuple(_cut(_ordered(group), len(plan.scenes[key[0]].views), target)),
-        )
-        for key, group in groups.items()
-    ]
+    return [_group(plan.sources[group[0].channel], group, target) for group in groups.values()]
 
 
-def _needs_amplitude(case: Case) -> bool:
-    """Whether complex amplitudes must be kept: for complex noise, and for methods that look at them."""
-    return case.imaging.noise.kind == "complex" or find_method(case.imaging.method).uses_amplitude
+def _group(source: Source, cases: Sequence[Case], target_s: float) -> CaseGroup:
+    wanted = ProfileArguments(
+        cases[0].imaging,
+        _needed(source.views, cases),
+        any(case.imaging.noise.uses_amplitude or case.imaging.chosen.uses_amplitude for case in cases),
+        source.outline,
+    )
+    return CaseGroup(source, wanted, tuple(_cut(_ordered(cases), len(source.views), target_s)))
+
+
+def _needed(views: Views, cases: Sequence[Case]) -> tuple[int, ...] | None:
+    """Numbers of the views that any case needs; None for all of them, and where a case's choice is not possible."""
+    needed = np.zeros(len(views), bool)
+    choices = {
+        (case.imaging.views, case.imaging.impairments, case.imaging.noise.reference, case.imaging.noise.seed): case
+        for case in cases
+    }
+    for case in choices.values():
+        try:
+            needed[views_needed(views, case.imaging)] = True
+        except ConfigError:  # told with the case
+            continue
+        if needed.all():
+            return None
+    return tuple(np.flatnonzero(needed).tolist()) if needed.any() else None
 
 
 def _ordered(cases: Sequence[Case]) -> list[Case]:
@@ -106,8 +123,8 @@ def _ordered(cases: Sequence[Case]) -> list[Case]:
 
     def place(case: Case) -> tuple[int, ...]:
         settings = case.imaging
-        parts = (settings.noise, settings.peaks, (settings.method, settings.mvla), case.evaluation)
-        return tuple(places.setdefault((index, part), len(places)) for index, part in enumerate(parts))
+        parts = (settings.noise, settings.peaks, (settings.method, settings.chosen, settings.mvla), case.evaluation)
+        return tuple(places.setdefault((index, repr(part)), len(places)) for index, part in enumerate(parts))
 
     return sorted(cases, key=place)
 

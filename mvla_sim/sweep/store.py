@@ -52,7 +52,8 @@ def identity(plan: Plan) -> Identity:
     blocks = experiment.model_dump(mode="json", include={"imaging", "evaluation", "calibration"}, by_alias=True)
     common = flat(blocks) | {"axes": ", ".join(sorted(experiment.axes))}
     scenes = {name: scene.model_dump(mode="json", exclude={"description"}) for name, scene in plan.files.items()}
-    return {"experiment": common} | {f"scene {name}": flat({"scene": data}) for name, data in scenes.items()}
+    files = {f"channel {source.name}": {"key": source.key} for source in plan.sources.values() if source.scene is None}
+    return {"experiment": common} | files | {f"scene {name}": flat({"scene": data}) for name, data in scenes.items()}
 
 
 class Store:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from mvla_sim.channel.simulate import cache_file
 from mvla_sim.sweep.plan import Plan
 from mvla_sim.sweep.run import missing_cases
-from mvla_sim.sweep.schedule import PREPARE_S, TRACE_VIEW_S, case_seconds, tasks_of
+from mvla_sim.sweep.schedule import PREPARE_S, TRACE_VIEW_S, case_seconds, groups_of
 from mvla_sim.sweep.store import Store, identity
 
 __all__ = ["ChannelState", "Survey", "survey"]
@@ -57,19 +56,19 @@ def survey(plan: Plan, folder: Path, workers: int) -> Survey:
     """
     rows = Store.peek(folder, identity(plan))
     missing = missing_cases(plan, rows)
-    views = {channel: len(scene.views) for channel, scene in plan.scenes.items()}
+    views = {key: len(source.views) for key, source in plan.sources.items()}
     stored = {case.key: case for case in plan.cases if case.key in rows}
     done = [case for case in stored.values() if rows[case.key].status == "done"]
     guessed = sum(case_seconds(case, views[case.channel]) for case in done)
     measured = sum(rows[case.key].seconds for case in done)
     ratio = measured / guessed if guessed else 1.0
-    tasks = tasks_of(plan, missing, workers)
-    needed = {task.key[0]: task.scene for task in tasks}
-    channels = [ChannelState(scene.name, len(scene.views), cache_file(scene).exists()) for scene in needed.values()]
+    groups = groups_of(plan, missing, workers)
+    needed = {group.source.key: group.source for group in groups}
+    channels = [ChannelState(source.name, len(source.views), source.file.exists()) for source in needed.values()]
     seconds = sum(TRACE_VIEW_S * channel.views for channel in channels if not channel.cached)
-    seconds += PREPARE_S * len(tasks) / min(workers, max(1, len(tasks)))
+    seconds += PREPARE_S * len(groups) / min(workers, max(1, len(groups)))
     work = ratio * sum(case_seconds(case, views[case.channel]) for case in missing)
-    seconds += work / min(workers, max(1, sum(len(task.batches) for task in tasks)))
+    seconds += work / min(workers, max(1, sum(len(group.batches) for group in groups)))
     return Survey(
         cases=len(plan.cases),
         done=len(done),

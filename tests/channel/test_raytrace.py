@@ -20,9 +20,8 @@ from mvla_sim.channel.raytrace import LaunchWindow, ViewTracer
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.constants import SPEED_OF_LIGHT, delay_to_range
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.imaging.imaging_settings import PdpSettings, PeakSettings
-from mvla_sim.imaging.pdp import compute_pdp
-from mvla_sim.imaging.peaks import extract_peaks
+from mvla_sim.imaging.detectors.local_maxima import LocalMaxima
+from mvla_sim.imaging.pdp import PdpSettings, compute_pdp
 
 CARRIER = 36e9
 WAVELENGTH = SPEED_OF_LIGHT / CARRIER
@@ -91,7 +90,7 @@ def test_cylinder_is_at_its_nearest_point():
     sagitta = 2.0 * (1 - np.cos(np.pi / 36))  # a facet's centre lies that far inside the circle
     for view in range(cir.n_view):
         assert cir.range_m[cir.rows(view)].min() == pytest.approx(4.0 + sagitta, rel=FLOAT32)
-    peaks = extract_peaks(compute_pdp(cir, PdpSettings(), (3.0, 9.0)), PeakSettings())
+    peaks = LocalMaxima().extract(compute_pdp(cir, PdpSettings(), (3.0, 9.0)))
     first = peaks.range_m[np.cumsum(peaks.row_size) - peaks.row_size]
     # A quarter of a sample of refinement error, and the echoes around the nearest point in the same cell, stay well
     # below half a range resolution of 5 cm.

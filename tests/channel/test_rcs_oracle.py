@@ -9,9 +9,8 @@ from channel_scenes import ring_views
 from mvla_sim.channel.cir import Cir
 from mvla_sim.constants import SPEED_OF_LIGHT, delay_to_range
 from mvla_sim.engine.backend import activate_sionna
-from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.imaging_settings import imaging_settings
-from mvla_sim.imaging.pipeline import front_end, reconstruct
+from mvla_sim.imaging.pipeline import observe, reconstruct
 
 POINT = np.array([1.0, 0.5, 0.0])
 CROSS_SECTION = 0.5
@@ -54,7 +53,7 @@ def test_delay_and_gain_follow_the_radar_equation(cir):
 
 def test_peaks_are_the_point(cir):
     settings = imaging_settings(snr_db=None)
-    front = front_end(cir, settings, VoxelGrid.from_settings(settings.grid))
+    front = observe(cir, settings).front
     assert (front.peaks.row_size == 1).all()
     # The parabola's bias at four samples a resolution cell is below 1 % of a sample of 12.5 mm; its height's below 1 %.
     np.testing.assert_allclose(front.peaks.range_m, delay_to_range(cir.delay_s), rtol=0, atol=2e-4)

@@ -27,9 +27,9 @@ from mvla_sim.evaluation.candidates import SUPPORTS_DEG, TOP_PERCENTS, chamfer_t
 from mvla_sim.evaluation.ground_truth import TruthGeometry
 from mvla_sim.evaluation.metrics import score
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.imaging_settings import METHOD_NAMES
+from mvla_sim.imaging.method import METHODS
 from mvla_sim.imaging.pipeline import reconstruct
-from mvla_sim.imaging.threshold import joint_threshold
+from mvla_sim.imaging.thresholds import joint_threshold
 
 README = Path(__file__).parents[2] / "README.md"
 ORACLE = """
@@ -198,7 +198,7 @@ def test_the_readme_example_joins_the_leaderboard(dataset, tmp_path, capsys):
 def test_every_method_is_scored_by_default(dataset):
     assert run(["dataset", "score", "--workers", "0", str(dataset)]) == 0
     results = load_results(mv.open_dataset(dataset, "test"), dataset / "scores")
-    assert {result.label for result in results} == set(METHOD_NAMES) - {"bp-coherent"}
+    assert {result.label for result in results} == {method.name for method in METHODS.own()} - {"bp-coherent"}
 
 
 def test_worker_processes_change_no_number(dataset, tmp_path):

@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 from mvla_sim.evaluation.ground_truth import TruthGeometry
 from mvla_sim.evaluation.ranking import average_precision
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.threshold import rank_order
+from mvla_sim.imaging.thresholds import rank_order
 
 GRID = VoxelGrid((0.0, 0.0, 0.0), (14, 11, 1), 0.1)
 

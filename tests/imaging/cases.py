@@ -7,6 +7,7 @@ import numpy as np
 from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.constants import range_to_delay
+from mvla_sim.imaging.noise import NOISES
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.scene.views import Views
 
@@ -88,3 +89,7 @@ def response(paths, views, start_hz=36e9 - BANDWIDTH / 2, count=1001, bandwidth_
         delay = range_to_delay(pairs[:, 0].real)
         rows.append((pairs[:, 1] * np.exp(-2j * np.pi * offset[:, None] * delay)).sum(axis=1))
     return FrequencyResponse(np.array(rows), start_hz, step, views=views, **({"extent_m": 4.0} | fields))
+
+
+def noise_of(kind="gaussian", **settings):
+    return NOISES.find(kind)(**settings)

@@ -9,10 +9,12 @@ from scipy.spatial import ConvexHull
 
 from mvla_sim.errors import DataError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.automatic import LEAST_SUPPORT_DEG, WIDTH, automatic_thresholds, thresholds_of
-from mvla_sim.imaging.imaging_settings import ThresholdSettings
-from mvla_sim.imaging.threshold import joint_threshold
+from mvla_sim.imaging.imaging_settings import imaging_settings
+from mvla_sim.imaging.threshold_rules.automatic import AutomaticThresholds
+from mvla_sim.imaging.threshold_rules.given import GivenThresholds
+from mvla_sim.imaging.thresholds import joint_threshold
 
+AUTO = AutomaticThresholds()
 LAYER = VoxelGrid((0, 0, 0), (60, 60, 1), 0.05)
 
 
@@ -26,7 +28,7 @@ def outline(side=24):
 
 
 def retained(score, support=None, grid=LAYER, resolution_m=None):
-    found = automatic_thresholds(score, support, grid, resolution_m)
+    found = AUTO.thresholds(score, support, grid, resolution_m)
     return joint_threshold(score, support, found.top_percent, found.min_support_deg)
 
 
@@ -52,11 +54,11 @@ def test_a_wider_resolution_cell_retains_a_wider_line():
 def test_the_area_is_the_width_times_the_perimeter_and_no_smaller_one_is():
     score = (gaussian_filter(outline(34).astype(float), 1.0) + np.random.default_rng(5).random((1, 60, 60))) ** 2
     best = np.argsort(-score.ravel(), kind="stable")
-    blob = round(np.pi * (3 * WIDTH) ** 2)
+    blob = round(np.pi * (3 * AUTO.width) ** 2)
 
     def enough(count):
         places = np.stack(np.unravel_index(best[:count], (60, 60)), axis=1)
-        return count >= round(WIDTH * ConvexHull(places).area)
+        return count >= round(AUTO.width * ConvexHull(places).area)
 
     assert retained(score).sum() == next(count for count in range(blob, 3600) if enough(count))
 
@@ -85,9 +87,9 @@ def test_support_is_asked_for_and_counts_among_what_has_it():
     score = (truth + 2.0 * ghosts).astype(np.float32)
     support = np.where(truth, 60.0, 5.0).astype(np.float32)
     np.testing.assert_array_equal(retained(score, support), truth)
-    assert automatic_thresholds(score, support, LAYER).min_support_deg == LEAST_SUPPORT_DEG
-    assert automatic_thresholds(score, support / 6, LAYER).min_support_deg == pytest.approx(5.0)  # half of the largest
-    assert automatic_thresholds(score, 0 * support, LAYER).min_support_deg == 0
+    assert AUTO.thresholds(score, support, LAYER).min_support_deg == AUTO.least_support_deg
+    assert AUTO.thresholds(score, support / 6, LAYER).min_support_deg == pytest.approx(5.0)  # half of the largest
+    assert AUTO.thresholds(score, 0 * support, LAYER).min_support_deg == 0
 
 
 def test_few_voxels_are_all_that_is_retained():
@@ -105,7 +107,7 @@ def test_a_line_has_two_sides():
     score[0, 30, 5:55] = 1.0
     found = retained(score)
     assert found[0, 30, 5:55].all()
-    assert found.sum() == pytest.approx(WIDTH * 2 * 50, rel=0.06)
+    assert found.sum() == pytest.approx(AUTO.width * 2 * 50, rel=0.06)
 
 
 def test_an_interval_has_two_ends():
@@ -113,7 +115,7 @@ def test_an_interval_has_two_ends():
     grid = VoxelGrid((0, 0, 0), (200, 1, 1), 0.05)
     score = np.full((1, 1, 200), 0.1, np.float32) + np.linspace(0, 0.01, 200, dtype=np.float32)
     score[0, 0, 100:103] = 1.0
-    assert retained(score, grid=grid).sum() == round(3 * WIDTH)
+    assert retained(score, grid=grid).sum() == round(3 * AUTO.width)
 
 
 BOX = VoxelGrid((0, 0, 0), (40, 40, 40), 0.05)
@@ -134,7 +136,7 @@ def test_a_surface_is_retained_in_three_dimensions(spot):
     score[(z - 20) ** 2 + (y - 20) ** 2 + (x - 20) ** 2 <= spot**2] += 5.0 * bool(spot)
     found = retained(score, grid=BOX)
     assert found[truth].mean() > 0.9
-    assert found.sum() == pytest.approx(WIDTH * 4 * np.pi * 14**2, rel=0.15)
+    assert found.sum() == pytest.approx(AUTO.width * 4 * np.pi * 14**2, rel=0.15)
 
 
 def test_a_plate_in_three_dimensions_has_two_sides():
@@ -150,20 +152,26 @@ def test_a_plate_in_three_dimensions_has_two_sides():
 @pytest.mark.parametrize("score", [np.ones((1, 60, 60)), np.zeros((1, 60, 60)), -np.ones((1, 60, 60))])
 def test_an_even_image_is_refused(score):
     with pytest.raises(DataError, match="threshold = 'auto': the image is the same everywhere"):
-        automatic_thresholds(score, None, LAYER)
+        AUTO.thresholds(score, None, LAYER)
 
 
 def test_values_that_are_not_finite_are_refused():
     score = outline().astype(np.float32)
     with pytest.raises(DataError, match="the angular support is not finite"):
-        automatic_thresholds(score, np.full(score.shape, np.nan), LAYER)
+        AUTO.thresholds(score, np.full(score.shape, np.nan), LAYER)
     score[0, 0, 0] = np.nan
     with pytest.raises(DataError, match="the score is not finite"):
-        automatic_thresholds(score, None, LAYER)
+        AUTO.thresholds(score, None, LAYER)
 
 
 def test_given_thresholds_stay():
-    given = ThresholdSettings(top_percent=3.0)
     score = outline().astype(np.float32)
-    assert thresholds_of(given, score, None, LAYER) is given
-    assert thresholds_of("auto", score, None, LAYER).top_percent < 100
+    assert GivenThresholds(top_percent=3.0).thresholds(score, None, LAYER, None) == (3.0, 0.0)
+
+
+def test_a_rule_may_be_named_alone_or_with_its_settings():
+    alone, table = (imaging_settings(threshold=rule).threshold for rule in ("auto", {"rule": "auto", "width": 2.4}))
+    assert (alone, table) == (AUTO, AutomaticThresholds(width=2.4))
+    score = gaussian_filter(outline().astype(float), 1.0)
+    wide, narrow = (rule.thresholds(score, None, LAYER).top_percent for rule in (table, alone))
+    assert wide > 1.5 * narrow

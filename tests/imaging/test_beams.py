@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from mvla_sim.errors import ConfigError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.backprojection import backprojection_profiles
-from mvla_sim.imaging.beam import build_beam
-from mvla_sim.imaging.imaging_settings import BeamSettings, imaging_settings
-from mvla_sim.imaging.mvla import likelihood_profiles
+from mvla_sim.imaging.beam import BeamSettings, build_beam
+from mvla_sim.imaging.imaging_settings import imaging_settings
+from mvla_sim.imaging.likelihood import likelihood_profiles
+from mvla_sim.imaging.methods.bp import backprojection_profiles
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.imaging.projection import project

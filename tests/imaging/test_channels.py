@@ -16,7 +16,7 @@ from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
 from mvla_sim.imaging.pdp import compute_pdp, gate_for
-from mvla_sim.imaging.pipeline import front_end, reconstruct
+from mvla_sim.imaging.pipeline import observe, reconstruct
 from mvla_sim.netcdf import write_netcdf
 from mvla_sim.scene.antennas.horn import Horn
 from mvla_sim.settings import parse
@@ -38,7 +38,7 @@ def swept(cir, **fields):
 
 def extracted(cir, settings):
     """The components that are found in a CIR."""
-    peaks = front_end(cir, settings, VoxelGrid.from_settings(settings.grid)).peaks
+    peaks = observe(cir, settings).front.peaks
     return Components(
         peaks.range_m, peaks.power, peaks.row_size, views=cir.views, carrier_hz=36e9, bandwidth_hz=cir.bandwidth_hz,
         extent_m=cir.extent_m, antenna=cir.antenna,
@@ -49,7 +49,7 @@ def power(channel, settings):
     """Profiles that reach the methods, and those before any noise."""
     grid = VoxelGrid.from_settings(settings.grid)
     clean = compute_pdp(channel, settings.pdp, gate_for(grid, channel.views, settings.pdp))
-    return front_end(channel, settings, grid).pdp.power, clean.power
+    return observe(channel, settings).front.pdp.power, clean.power
 
 
 # Frequency responses.
@@ -119,7 +119,7 @@ def test_components_enter_where_peaks_leave_the_detector(method):
 
 def test_components_need_no_gate_and_may_lie_anywhere():
     far = Components(np.array([9.5, 400.0]), np.array([2.0, 1.0]), np.array([1, 0, 1]), views=ring(3), **RADIO)
-    front = front_end(far, options(), VoxelGrid.from_settings(options().grid))
+    front = observe(far, options()).front
     assert front.pdp is None
     assert front.resolution_m == pytest.approx(RESOLUTION)
     np.testing.assert_array_equal(front.peaks.range_m, far.range_m)
@@ -193,8 +193,8 @@ def test_selection_of_any_kind_is_that_of_its_views(three, kind):
     made, taken = three[kind], np.array([4, 0, 3])
     some = made.select(taken)
     np.testing.assert_array_equal(some.views.receivers_m, made.views.receivers_m[taken])
-    grid, chosen = VoxelGrid.from_settings(options().grid), options(snr_db=None)
-    one, other = front_end(some, chosen, grid).peaks, front_end(made, chosen, grid).peaks.select(taken)
+    chosen = options(snr_db=None)
+    one, other = observe(some, chosen).front.peaks, observe(made, chosen).front.peaks.select(taken)
     np.testing.assert_array_equal(one.row_size, other.row_size)
     # Of paths the gate of three pairs may be narrower than that of six, and with it the number of frequencies.
     np.testing.assert_allclose(one.range_m, other.range_m, atol=1e-3 if kind is Cir else 1e-9)  # metres

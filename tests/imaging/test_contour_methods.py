@@ -12,21 +12,26 @@ from cases import RESOLUTION, channel, make_peaks, ring, scatterers, views_at
 from mvla_sim.channel.components import Components
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.beam import build_beam
-from mvla_sim.imaging.imaging_settings import BeamSettings, ImagingSettings, imaging_settings
+from mvla_sim.imaging.beam import BeamSettings, build_beam
+from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
+from mvla_sim.imaging.method import METHODS
+from mvla_sim.imaging.methods import rpm
 from mvla_sim.imaging.methods.carving import first_echoes
-from mvla_sim.imaging.methods.registry import find_method
-from mvla_sim.imaging.methods.rpm import contour_points
 from mvla_sim.imaging.observation import FrontEnd, Observation
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.scene.antennas.horn import Horn
 from mvla_sim.scene.views import Views
-from mvla_sim.sweep.schedule import tasks_of
+from mvla_sim.sweep.schedule import groups_of
 
 POINTS = [[1.0, 0.5, 0.0], [-0.8, -0.4, 0.0], [0.3, -1.2, 0.0]]
 CARRIER = 36e9  # of the channels in ``cases``
 WAVELENGTH = 299_792_458 / CARRIER
 NAMES = ("carving", "rpm", "bp-coherent")
+
+
+def contour_points(seen):
+    chosen = seen.settings.chosen
+    return rpm.contour_points(seen, chosen.sigma_x_m, np.deg2rad(chosen.sigma_theta_deg))
 
 
 def options(**values):
@@ -75,7 +80,7 @@ def at(seen, point):
 
 def test_carving_leaves_the_outline_of_a_circle():
     seen = observed(circle(ring(72)), ring(72))
-    score, away = find_method("carving").image(seen).score[0], off_circle(seen)
+    score, away = METHODS.find("carving")().image(seen).score[0], off_circle(seen)
     best = score >= np.sort(score.ravel())[-int(2 * np.pi * 1.5 / 0.05)]
     assert np.abs(away[best]).max() < 0.05
     assert score[np.abs(away) < 0.01].min() > score[np.abs(away) > 0.1].max()
@@ -90,7 +95,7 @@ def test_carving_needs_more_than_a_share_of_the_views():
     echoes[0] = [(12.0, 1.0)]
     for share, kept in ((0.02, True), (0.0, False)):
         seen = observed(echoes, views, **{"carving.share": share})
-        score = find_method("carving").image(seen).score
+        score = METHODS.find("carving")().image(seen).score
         assert (score[at(seen, (1.5, 0.0, 0.0))] > 0) == kept
 
 
@@ -100,7 +105,7 @@ def test_views_without_a_peak_carve_nothing():
     seen = observed(echoes, views, **{"carving.share": 0.1})
     assert first_echoes(seen.peaks)[0] == pytest.approx(8.5)
     assert np.isneginf(first_echoes(seen.peaks)[1:]).all()
-    score = find_method("carving").image(seen).score[0]
+    score = METHODS.find("carving")().image(seen).score[0]
     behind = seen.range_m(0)[0] - 8.5
     assert score[behind < -0.03] == pytest.approx(-1 / 8)
     assert (score[behind > -0.02] >= 0).all()
@@ -110,7 +115,7 @@ def test_a_beam_carves_only_where_it_reaches():
     views = views_at([0.0])
     beam = build_beam(Horn(azimuth_beamwidth_deg=10.0, elevation_beamwidth_deg=10.0), BeamSettings())
     seen = observed([[(9.0, 1.0)]], views, beam)
-    score = find_method("carving").image(seen).score[0]
+    score = METHODS.find("carving")().image(seen).score[0]
     x, y = np.meshgrid(*seen.grid.axes()[:2])
     off = np.abs(np.rad2deg(np.arctan2(y, 10 - x)))
     near = seen.range_m(0)[0] < 8.9
@@ -125,7 +130,7 @@ def test_carving_takes_pairs_and_volumes(layers):
     views = Views(first.positions_m, first.angles_deg, (0.0, 0.0), second.positions_m)
     point = (0.525, -0.325, 0.025 if layers else 0.0)
     seen = observed(echoes_of([point], views), views, **{"grid.size_m": [3.0, 3.0, layers]})
-    score = find_method("carving").image(seen).score
+    score = METHODS.find("carving")().image(seen).score
     assert score.argmax() == np.ravel_multi_index(at(seen, point), score.shape)
     assert (np.delete(score.ravel(), score.argmax()) < score.max()).all()
 
@@ -345,15 +350,14 @@ def test_rpm_says_so_if_nothing_intersects(values):
 )
 def test_sweeps_keep_amplitudes_for_methods_that_need_them(method, kind, kept):
     case = SimpleNamespace(channel="one", imaging=options(method=method, **{"noise.kind": kind}), evaluation=None)
-    plan = SimpleNamespace(scenes={"one": SimpleNamespace(views=ring(12))})
-    (task,) = tasks_of(plan, [case], workers=1)
-    assert task.with_amplitude == kept
+    plan = SimpleNamespace(sources={"one": SimpleNamespace(views=ring(12), outline=None)})
+    (task,) = groups_of(plan, [case], workers=1)
+    assert task.wanted.with_amplitude == kept
 
 
-def test_new_blocks_leave_stored_settings_as_they_were():
-    dumped = ImagingSettings().model_dump()
-    assert not {"carving", "rpm"} & set(dumped)
+def test_settings_of_methods_survive_a_dump():
     changed = options(**{"rpm.sigma_x_m": 1.0})
+    assert changed.model_dump()["rpm"]["sigma_x_m"] == 1.0
     assert ImagingSettings.model_validate(changed.model_dump(mode="json")) == changed
 
 

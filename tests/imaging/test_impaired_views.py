@@ -7,11 +7,11 @@ import pytest
 from cases import PAPER_METHODS, channel, response, ring, scatterers
 
 from mvla_sim.channel.components import Components
+from mvla_sim.channel.impairments import impair_channel
 from mvla_sim.errors import ConfigError, MvlaError
-from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.imaging_settings import imaging_settings
-from mvla_sim.imaging.pipeline import chosen_views, impaired, reconstruct
-from mvla_sim.imaging.pipeline import select_views as nominal_views
+from mvla_sim.imaging.pipeline import profile_key, reconstruct, views_needed
+from mvla_sim.imaging.view_selection import select_views as nominal_views
 
 POINTS = [(0.5, 0.2, 0.0), (-0.6, -0.4, 0.0), (0.1, 0.7, 0.0)]
 GRID = {"size_m": [2.0, 2.0, 0.0], "spacing_m": 0.05}
@@ -53,7 +53,8 @@ def test_the_error_is_undone_by_nothing_but_the_true_positions():
     """Imaging sees the assumed positions alone: the same image comes of a file that says these."""
     cir = scatterers(POINTS, ring(24))
     chosen = settings(position_error_m=0.03)
-    wrong = impaired(cir, chosen, VoxelGrid.from_settings(chosen.grid))
+    impairments, _, gate_m = profile_key(chosen, cir.views)
+    wrong = impair_channel(cir, impairments, gate_m)
     assert np.array_equal(reconstruct(wrong, settings()).score, reconstruct(cir, chosen).score)
 
 
@@ -71,7 +72,7 @@ def test_strides_are_judged_on_the_nominal_views_before_any_are_lost():
     views = ring(36)
     chosen = imaging_settings(interval_deg=20, offset=1, impairments={"missing_share": 0.5, "position_error_m": 1.0})
     nominal = nominal_views(views, chosen.views)
-    left = chosen_views(views, chosen)
+    left = views_needed(views, chosen)
     assert nominal.tolist() == list(range(1, 36, 2))
     assert left.size == 9
     assert {*left.tolist()} < {*nominal.tolist()}
@@ -91,7 +92,7 @@ def test_a_blocked_sector_is_the_image_of_the_other_views():
 def test_the_seed_is_the_noises_own_unless_it_is_given():
     views = ring(36)
     lost = [
-        chosen_views(views, imaging_settings(seed=noise, impairments={"missing_share": 0.5} | given)).tolist()
+        views_needed(views, imaging_settings(seed=noise, impairments={"missing_share": 0.5} | given)).tolist()
         for noise, given in ((1, {}), (2, {}), (1, {"seed": 1}), (2, {"seed": 1}))
     ]
     assert lost[0] != lost[1]

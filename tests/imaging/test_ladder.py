@@ -11,9 +11,9 @@ from cases import ring, scatterers
 from mvla_sim.engine.backend import set_threads
 from mvla_sim.engine.machine import core_count
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.imaging_settings import METHOD_NAMES, imaging_settings
+from mvla_sim.imaging.imaging_settings import imaging_settings
+from mvla_sim.imaging.method import METHODS, phase_free_methods
 from mvla_sim.imaging.methods.mvla_em import echoes
-from mvla_sim.imaging.methods.registry import find_method, phase_free_methods
 from mvla_sim.imaging.pdp import compute_pdp, gate_for
 from mvla_sim.imaging.pipeline import reconstruct
 
@@ -30,7 +30,7 @@ def image(method, cir=None, **values):
     return reconstruct(scatterers(POINTS, ring(36)) if cir is None else cir, options(method=method, **values))
 
 
-@pytest.mark.parametrize("method", METHOD_NAMES)
+@pytest.mark.parametrize("method", METHODS.names())
 def test_every_method_finds_points(method):
     found = image(method)
     points = found.grid.centers()
@@ -173,6 +173,6 @@ def test_the_number_of_threads_changes_no_bit():
 
 
 def test_methods_say_what_they_need():
-    assert not find_method("bp").uses_peaks
-    assert find_method("bp-gated").uses_peaks
+    assert not METHODS.find("bp").uses_peaks
+    assert METHODS.find("bp-gated").uses_peaks
     assert "bp-coherent" not in phase_free_methods()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import pickle
 import sys
 from importlib.metadata import EntryPoint
 
@@ -10,9 +12,8 @@ import pytest
 from cases import ring, scatterers
 
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.imaging.imaging_settings import METHOD_NAMES, imaging_settings
-from mvla_sim.imaging.methods import registry
-from mvla_sim.imaging.methods.registry import find_method, title_of
+from mvla_sim.imaging.imaging_settings import imaging_settings
+from mvla_sim.imaging.method import METHODS, title_of
 from mvla_sim.imaging.pipeline import reconstruct
 
 MINE = """
@@ -40,12 +41,12 @@ def write(folder, text=MINE, name="mine.py"):
     return str(file)
 
 
-@pytest.mark.parametrize("name", METHOD_NAMES)
+@pytest.mark.parametrize("name", METHODS.names())
 def test_every_method_has_a_module_a_title_and_an_equation(name):
-    method = find_method(name)
+    method = METHODS.find(name)
     assert method.title
     assert title_of(name) == method.title
-    assert "``" in (sys.modules[type(method).__module__].__doc__ or "") + (type(method).__doc__ or "")
+    assert "``" in (sys.modules[method.__module__].__doc__ or "") + (method.__doc__ or "")
 
 
 def test_a_function_of_a_file_is_a_method(tmp_path):
@@ -64,21 +65,20 @@ def test_it_may_return_angular_support_and_lie_under_another_name(tmp_path):
 
 
 def test_a_changed_file_is_another_method(tmp_path):
-    first = find_method(write(tmp_path)).digest
-    assert find_method(write(tmp_path, MINE + "\n# changed\n")).digest != first
+    first = METHODS.find(write(tmp_path)).digest()
+    assert METHODS.find(write(tmp_path, MINE + "\n# changed\n")).digest() != first
 
 
 def test_an_entry_point_is_a_method(tmp_path, monkeypatch):
     write(tmp_path, name="their_package.py")
     monkeypatch.syspath_prepend(str(tmp_path))
-    points = [EntryPoint("theirs", "their_package:image", registry.METHOD_GROUP)]
-    for module in ("mvla_sim.imaging.methods.registry", "mvla_sim.imaging.imaging_settings"):
-        monkeypatch.setattr(f"{module}.entry_points", lambda group: [p for p in points if p.group == group])
+    points = [EntryPoint("theirs", "their_package:image", METHODS.group)]
+    monkeypatch.setattr("mvla_sim.kinds.entry_points", lambda group: [p for p in points if p.group == group])
     cir = small_cir()
     theirs = reconstruct(cir, options(method="theirs"))
     mine = reconstruct(cir, options(method=write(tmp_path)))
     assert np.array_equal(theirs.score, mine.score)
-    assert find_method("theirs").digest
+    assert METHODS.find("theirs").digest()
 
 
 @pytest.mark.parametrize(
@@ -102,9 +102,9 @@ def test_what_a_function_does_wrong_is_one_line(tmp_path, text, function, messag
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("mvla", "'mvla' is none; allowed: mvla-gr, mvla-hard, bp"),
-        ("mine.txt:image", "is none; allowed"),
-        ("mine.py:not a name", "is none; allowed"),
+        ("mvla", "'mvla' is no method; allowed: bp, bp-coherence"),
+        ("mine.txt:image", "is no method; allowed"),
+        ("mine.py:not a name", "is no method; allowed"),
         ("nowhere.py", "nowhere.py cannot be read"),
         ("{broken}", "broken.py cannot be imported .ModuleNotFoundError: No module named 'nothing_here'"),
         ("{syntax}", "syntax.py cannot be imported .SyntaxError"),
@@ -119,5 +119,61 @@ def test_no_such_method_is_one_line(tmp_path, name, message):
         "good": write(tmp_path),
     }
     with pytest.raises(ConfigError, match=message) as caught:
-        find_method(options(method=name.format(**files)).method)
+        METHODS.find(options(method=name.format(**files)).method)
     assert "\n" not in str(caught.value)
+
+
+SHARPER = """
+import numpy as np
+
+def sharper(seen, power: float = 2.0, *, floor=0.0):
+    total = sum(np.interp(seen.range_m(m), seen.pdp.range_m, seen.pdp.power[m]) for m in range(seen.n_view))
+    return np.maximum(total / total.max(), floor) ** power
+"""
+
+
+def test_parameters_of_a_function_are_settings(tmp_path):
+    """Under [imaging.NAME], with their types and defaults, in settings, --set and every dump."""
+    name = f"{write(tmp_path, SHARPER)}:sharper"
+    plain, bent = (
+        reconstruct(small_cir(), options(method=name, snr_db=None, **more)) for more in ({}, {"sharper.power": 4.0})
+    )
+    np.testing.assert_allclose(bent.score, plain.score**2, rtol=1e-5, atol=1e-7)
+    assert bent.config["imaging"]["sharper"] == {"power": 4.0, "floor": 0.0}
+    assert imaging_settings(["sharper.floor=0.5"], method=name).chosen.floor == 0.5
+    for key, value, message in (
+        ("sharper.pwoer", 1.0, r"sharper\.pwoer: unknown key \(did you mean 'power'\?\); allowed: floor, power"),
+        ("sharper.power", "x", r"sharper\.power = 'x': should be a valid number"),
+        ("carvin.kernel", 1.0, r"carvin: unknown key \(did you mean 'carving'\?\)"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            options(method=name, **{key: value})
+
+
+def test_settings_of_a_function_of_a_file_can_be_pickled(tmp_path):
+    chosen = options(method=f"{write(tmp_path, SHARPER)}:sharper", **{"sharper.power": 3.0})
+    assert pickle.loads(pickle.dumps(chosen)) == chosen
+
+
+def test_a_function_itself_is_a_method():
+    def doubled(seen, *, times: int = 2):
+        return times * METHODS.find("bp")().image(seen).score
+
+    cir = small_cir()
+    bp = reconstruct(cir, options(method="bp", snr_db=None)).score
+    assert np.array_equal(reconstruct(cir, options(method=doubled, snr_db=None)).score, 2 * bp)
+    own = functools.partial(doubled, times=3)
+    assert np.array_equal(reconstruct(cir, options(method=own, snr_db=None)).score, 3 * bp)
+    with pytest.raises(ConfigError, match="a function without a name"):
+        options(method=lambda seen: seen.range_m(0))
+    with pytest.raises(ConfigError, match=r"doubled\.times = 0\.5"):
+        options(method=doubled, doubled={"times": 0.5})
+
+
+def test_settings_of_methods_are_refused_one_by_one():
+    for key, message in (
+        ("carving.kernl", r"carving\.kernl: unknown key \(did you mean 'kernel'\?\); allowed: kernel, margin, share"),
+        ("em.iterations", r"em\.iterations = 0: should be greater than or equal to 1"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            options(method="bp", **{key: 0})

@@ -6,15 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from cases import random_channel, ring
+from cases import noise_of, random_channel, ring
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mvla_sim.dsp import Window
 from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.imaging_settings import NoiseSettings, PdpSettings
-from mvla_sim.imaging.noise import add_noise
-from mvla_sim.imaging.pdp import compute_pdp
+from mvla_sim.imaging.pdp import PdpSettings, compute_pdp
 from mvla_sim.streams import stream
 
 VIEWS = 40
@@ -37,7 +35,7 @@ def mean_square(values):
 @pytest.mark.parametrize("kind", ["gaussian", "exponential", "complex"])
 def test_realised_snr_is_the_one_asked_for(clean, kind, reference, snr_db):
     """Signal and noise power per view: of the PDP, or of the complex amplitude for complex noise."""
-    noisy = add_noise(clean, NoiseSettings(snr_db=snr_db, kind=kind, reference=reference))
+    noisy = noise_of(snr_db=snr_db, kind=kind, reference=reference).add(clean)
     if kind == "complex":
         signal, noise = mean_square(clean.amplitude), mean_square(noisy.amplitude - clean.amplitude)
         np.testing.assert_array_equal(noisy.power, np.abs(noisy.amplitude) ** 2)
@@ -62,23 +60,23 @@ def test_realised_snr_is_the_one_asked_for(clean, kind, reference, snr_db):
 def test_gaussian_noise_has_zero_mean_and_exponential_noise_none_below_zero(clean):
     samples = clean.power.size
     settings_ = {"snr_db": 0.0, "reference": "all"}
-    normal = add_noise(clean, NoiseSettings(kind="gaussian", **settings_)).power - clean.power
+    normal = noise_of(kind="gaussian", **settings_).add(clean).power - clean.power
     assert abs(normal.mean()) < 5 * normal.std() / np.sqrt(samples)
     assert normal.min() < 0
-    power = add_noise(clean, NoiseSettings(kind="exponential", **settings_)).power - clean.power
+    power = noise_of(kind="exponential", **settings_).add(clean).power - clean.power
     assert power.min() >= -1e-12  # rounding of the difference
     assert power.std() == pytest.approx(power.mean(), rel=5 * np.sqrt(2 / samples) + 0.01)  # an exponential's
 
 
 @pytest.mark.parametrize("kind", ["gaussian", "exponential", "complex"])
 def test_noise_is_reproducible_and_follows_the_seed(clean, kind):
-    one, again, other = (add_noise(clean, NoiseSettings(kind=kind, seed=s)).power for s in (7, 7, 8))
+    one, again, other = (noise_of(kind=kind, seed=s).add(clean).power for s in (7, 7, 8))
     np.testing.assert_array_equal(one, again)
     assert (one != other).mean() > 0.99
 
 
 def test_views_draw_from_streams_of_their_own(clean):
-    noise = add_noise(clean, NoiseSettings(snr_db=0.0)).power - clean.power
+    noise = noise_of(snr_db=0.0).add(clean).power - clean.power
     correlation = np.corrcoef(noise)[np.triu_indices(VIEWS, 1)]
     assert np.abs(correlation).max() < 6 / np.sqrt(noise.shape[1])  # 780 pairs of independent rows
 
@@ -86,8 +84,8 @@ def test_views_draw_from_streams_of_their_own(clean):
 @pytest.mark.parametrize("kind", ["gaussian", "exponential", "complex"])
 def test_first_views_draw_the_same_however_many_follow(clean, kind):
     """Streams are named by a view's index; with the SNR by view, a shorter file has the same noise."""
-    short = add_noise(clean.select(np.arange(10)), NoiseSettings(kind=kind)).power
-    np.testing.assert_array_equal(short, add_noise(clean, NoiseSettings(kind=kind)).power[:10])
+    short = noise_of(kind=kind).add(clean.select(np.arange(10))).power
+    np.testing.assert_array_equal(short, noise_of(kind=kind).add(clean).power[:10])
 
 
 @settings(max_examples=20)
@@ -100,20 +98,20 @@ def test_streams_are_named(seed, key):
 
 
 def test_without_snr_nothing_changes(clean):
-    assert add_noise(clean, NoiseSettings(snr_db=None)) is clean
+    assert noise_of(snr_db=None).add(clean) is clean
 
 
 def test_view_without_signal_has_no_noise_by_view_and_the_common_noise_by_all(clean):
     power = clean.power.copy()
     power[3] = 0
     silent = dataclasses.replace(clean, power=power)
-    assert (add_noise(silent, NoiseSettings(reference="view")).power[3] == 0).all()
-    assert (add_noise(silent, NoiseSettings(reference="all")).power[3] != 0).all()
+    assert (noise_of(reference="view").add(silent).power[3] == 0).all()
+    assert (noise_of(reference="all").add(silent).power[3] != 0).all()
 
 
 def test_complex_noise_needs_amplitudes(clean):
     with pytest.raises(ConfigError, match=r"noise\.kind = 'complex'"):
-        add_noise(dataclasses.replace(clean, amplitude=None), NoiseSettings(kind="complex"))
+        noise_of(kind="complex").add(dataclasses.replace(clean, amplitude=None))
 
 
 def test_complex_noise_is_the_same_whatever_the_oversampling():
@@ -122,7 +120,7 @@ def test_complex_noise_is_the_same_whatever_the_oversampling():
     cir = random_channel(1, ring(VIEWS))
     for oversampling in (2, 8):
         clean = compute_pdp(cir, PdpSettings(oversampling=oversampling), (6.0, 14.0))
-        noisy = add_noise(clean, NoiseSettings(snr_db=0.0, kind="complex"))
+        noisy = noise_of(snr_db=0.0, kind="complex").add(clean)
         noise = noisy.amplitude - clean.amplitude
         neighbours = (noise[:, 1:] * noise[:, :-1].conj()).real.mean() / (np.abs(noise) ** 2).mean()
         lag = 1 / oversampling

@@ -15,8 +15,7 @@ from mvla_sim.constants import range_to_delay
 from mvla_sim.dsp import Window
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.imaging_settings import PdpSettings
-from mvla_sim.imaging.pdp import compute_pdp, gate_for
+from mvla_sim.imaging.pdp import PdpSettings, compute_pdp, gate_for
 
 WINDOWS = ("rectangular", "hann", "hamming", "blackman", "kaiser")
 ONE = ring(1)

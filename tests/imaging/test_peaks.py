@@ -6,23 +6,22 @@ import dataclasses
 
 import numpy as np
 import pytest
-from cases import RESOLUTION, channel, random_channel, ring
+from cases import RESOLUTION, channel, noise_of, random_channel, ring
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
 from mvla_sim.errors import DataError
-from mvla_sim.imaging.imaging_settings import NoiseSettings, PdpSettings, PeakSettings
-from mvla_sim.imaging.noise import add_noise
-from mvla_sim.imaging.pdp import Pdp, compute_pdp
-from mvla_sim.imaging.peaks import Peaks, extract_peaks
+from mvla_sim.imaging.detectors.local_maxima import LocalMaxima
+from mvla_sim.imaging.pdp import Pdp, PdpSettings, compute_pdp
+from mvla_sim.imaging.peaks import Peaks
 
 CELL = 1.5 * RESOLUTION  # Hann's
 ONE = ring(1)
 
 
 def peaks_of(paths, peaks=None, **pdp):
-    return extract_peaks(compute_pdp(channel([paths], ONE), PdpSettings(**pdp), (8.0, 12.0)), peaks or PeakSettings())
+    return (peaks or LocalMaxima()).extract(compute_pdp(channel([paths], ONE), PdpSettings(**pdp), (8.0, 12.0)))
 
 
 def profile(power):
@@ -43,9 +42,9 @@ def test_two_echoes_are_resolved_from_two_cells_on(separation, count, turn):
 
 
 def test_nothing_closer_than_the_minimum_separation():
-    pdp = add_noise(compute_pdp(random_channel(1, ring(30)), PdpSettings(), (6.0, 14.0)), NoiseSettings(snr_db=0.0))
+    pdp = noise_of(snr_db=0.0).add(compute_pdp(random_channel(1, ring(30)), PdpSettings(), (6.0, 14.0)))
     for separation in (0.5, 1.0, 2.0):
-        found = extract_peaks(pdp, PeakSettings(threshold_sigma=2.0, min_separation=separation, refine=False))
+        found = LocalMaxima(threshold_sigma=2.0, min_separation=separation, refine=False).extract(pdp)
         same_view = np.diff(found.view) == 0
         assert np.diff(found.range_m)[same_view].min() >= separation * CELL - 1e-9
     assert found.row_size.min() > 0
@@ -58,7 +57,7 @@ def test_range_is_better_than_a_sample(range_m, window):
     # The parabola through samples of a cosine-like lobe, four a cell of no window: below 2 % of a sample of 12.5 mm.
     assert found.range_m == pytest.approx([range_m], abs=0.02 * RESOLUTION / 4)
     assert found.power == pytest.approx([9.0], rel=0.01)
-    raw = peaks_of([(range_m, 3.0)], PeakSettings(refine=False), window=window)
+    raw = peaks_of([(range_m, 3.0)], LocalMaxima(refine=False), window=window)
     assert raw.range_m == pytest.approx([range_m], abs=0.501 * RESOLUTION / 4)
 
 
@@ -67,8 +66,8 @@ def test_false_alarms_are_as_many_as_the_threshold_says(sigmas):
     """On white normal noise; a sample above so high a threshold is all but always a local maximum."""
     rng = np.random.default_rng(2)
     views, samples = 300, 2000
-    found = extract_peaks(
-        profile(rng.standard_normal((views, samples))), PeakSettings(threshold_sigma=sigmas, min_separation=0.0)
+    found = LocalMaxima(threshold_sigma=sigmas, min_separation=0.0).extract(
+        profile(rng.standard_normal((views, samples)))
     )
     tail = norm.sf(sigmas)
     # A neighbour that is higher still takes a sample's place; both of two being so happens with probability 2·tail.
@@ -82,9 +81,9 @@ def test_floor_is_estimated_from_the_profile():
     rng = np.random.default_rng(3)
     noise = rng.standard_normal((20, 1000))
     noise[:, 500] += 30
-    options = PeakSettings(dynamic_range_db=300.0)
-    one = extract_peaks(profile(noise + 10), options)
-    other = extract_peaks(profile(1e-12 * (noise + 50)), options)
+    options = LocalMaxima(dynamic_range_db=300.0)
+    one = options.extract(profile(noise + 10))
+    other = options.extract(profile(1e-12 * (noise + 50)))
     np.testing.assert_array_equal(one.row_size, other.row_size)
     np.testing.assert_allclose(one.range_m, other.range_m, atol=1e-9)
 
@@ -92,23 +91,23 @@ def test_floor_is_estimated_from_the_profile():
 def test_dynamic_range_drops_weak_echoes():
     echoes = [(9.0, 1.0), (10.0, 10 ** (-25 / 20)), (11.0, 10 ** (-35 / 20))]
     for limit, count in ((20.0, 1), (30.0, 2), (40.0, 3)):
-        found = peaks_of(echoes, PeakSettings(dynamic_range_db=limit), window="blackman")  # sidelobes 58 dB down
+        found = peaks_of(echoes, LocalMaxima(dynamic_range_db=limit), window="blackman")  # sidelobes 58 dB down
         assert found.row_size.tolist() == [count]
 
 
 def test_strongest_are_kept_in_order_of_range():
     echoes = [(8.5 + 0.5 * k, gain) for k, gain in enumerate([0.3, 1.0, 0.5, 0.9, 0.4])]
-    found = peaks_of(echoes, PeakSettings(max_peaks=3))
+    found = peaks_of(echoes, LocalMaxima(max_peaks=3))
     np.testing.assert_allclose(found.range_m, [9.0, 9.5, 10.0], atol=1e-3)
     np.testing.assert_allclose(found.power, [1.0, 0.25, 0.81], rtol=0.01)
     np.testing.assert_allclose(found.weight, found.power / found.power.sum(), rtol=1e-12)
-    assert peaks_of(echoes, PeakSettings(max_peaks=9)).row_size.tolist() == [5]
+    assert peaks_of(echoes, LocalMaxima(max_peaks=9)).row_size.tolist() == [5]
 
 
 def test_flat_top_stays_where_it_is():
     power = np.zeros(50)
     power[[20, 21, 22]] = 1.0
-    found = extract_peaks(profile(power), PeakSettings())
+    found = LocalMaxima().extract(profile(power))
     assert found.range_m == pytest.approx([21 * RESOLUTION / 4])
     assert found.power == pytest.approx([1.0])
 
@@ -116,18 +115,16 @@ def test_flat_top_stays_where_it_is():
 def test_view_without_peak_is_counted_and_none_at_all_is_an_error():
     power = np.zeros((3, 60))
     power[1, 30] = 1.0
-    found = extract_peaks(profile(power), PeakSettings())
+    found = LocalMaxima().extract(profile(power))
     assert found.row_size.tolist() == [0, 1, 0]
     assert found.view.tolist() == [1]
     assert found.weight.tolist() == [1.0]
     with pytest.raises(DataError, match=r"no peak in any of 4 views.*threshold_sigma \(now 4\)"):
-        extract_peaks(profile(np.zeros((4, 60))), PeakSettings())
+        LocalMaxima().extract(profile(np.zeros((4, 60))))
 
 
 def test_selection_keeps_rows_together():
-    found = extract_peaks(
-        add_noise(compute_pdp(random_channel(4, ring(6)), PdpSettings(), (7.0, 13.0)), NoiseSettings()), PeakSettings()
-    )
+    found = LocalMaxima().extract(noise_of().add(compute_pdp(random_channel(4, ring(6)), PdpSettings(), (7.0, 13.0))))
     taken = np.array([4, 4, 1])
     some = found.select(taken)
     for new, old in enumerate(taken):

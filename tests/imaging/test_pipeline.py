@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.imaging_settings import ViewSettings, imaging_settings
-from mvla_sim.imaging.pipeline import front_end, reconstruct, select_views
-from mvla_sim.imaging.threshold import joint_threshold
+from mvla_sim.imaging.imaging_settings import imaging_settings
+from mvla_sim.imaging.pipeline import observe, reconstruct
+from mvla_sim.imaging.thresholds import joint_threshold
+from mvla_sim.imaging.view_selection import ViewSettings, select_views
 from mvla_sim.scene.views import Views
 
 SMALL = {"grid.size_m": [4.0, 4.0, 0.0], "grid.spacing_m": 0.05}
@@ -73,7 +74,7 @@ def test_hard_vote_is_the_share_of_supporting_views():
     cir = scatterers(POINTS, ring(24))
     chosen = options(method="mvla-hard", snr_db=20)
     image = reconstruct(cir, chosen)
-    peaks = front_end(cir, chosen, image.grid).peaks
+    peaks = observe(cir, chosen).front.peaks
     b = twin.supports(image.grid.centers(), cir.views.positions_m, per_view(peaks), 0.05)
     votes = image.score.ravel() * 24
     assert (np.abs(votes - b.sum(axis=0)) < 1e-4).mean() >= 0.999  # edges in float32, gaps narrower than two nodes
@@ -91,7 +92,7 @@ def test_noise_does_not_depend_on_the_views_chosen_later():
     cir = random_channel(1, ring(12))
     every = options(snr_db=0)
     grid = VoxelGrid.from_settings(every.grid)
-    front = front_end(cir, every, grid)
+    front = observe(cir, every).front
     for offset in (0, 2):
         taken = np.arange(offset, 12, 3)
         some = reconstruct(cir, options(method="bp", snr_db=0, interval_deg=90, offset=offset))

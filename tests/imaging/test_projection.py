@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 
 from mvla_sim.errors import ConfigError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.backprojection import backprojection_profiles
-from mvla_sim.imaging.imaging_settings import MvlaSettings
-from mvla_sim.imaging.mvla import hard_profiles, kernel_scales, likelihood_profiles
+from mvla_sim.imaging.likelihood import MvlaSettings, hard_profiles, kernel_scales, likelihood_profiles
+from mvla_sim.imaging.methods.bp import backprojection_profiles
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.imaging.projection import RangeProfiles, check_grid, project
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.threshold import joint_threshold, rank_order, top_count
+from mvla_sim.imaging.thresholds import joint_threshold, rank_order, top_count
 
 SHAPES = st.tuples(st.integers(1, 3), st.integers(1, 8), st.integers(1, 8))
 SCORES = SHAPES.flatmap(lambda shape: arrays(np.float32, shape, elements=st.integers(-3, 3).map(float)))  # many ties

@@ -11,18 +11,18 @@ import twin
 from cases import ring, scatterers
 from scipy.optimize import nnls
 
-from mvla_sim.dsp import Window
+from mvla_sim.dsp import Window, noise_level
 from mvla_sim.errors import ConfigError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.beam import build_beam
+from mvla_sim.imaging.beam import BeamSettings, build_beam
 from mvla_sim.imaging.forward import RangeOperator, forward
-from mvla_sim.imaging.imaging_settings import BeamSettings, PdpSettings, imaging_settings
+from mvla_sim.imaging.imaging_settings import imaging_settings
 from mvla_sim.imaging.methods.mlem import maximize
 from mvla_sim.imaging.methods.nnls import minimize
-from mvla_sim.imaging.pdp import Pdp, compute_pdp
+from mvla_sim.imaging.pdp import Pdp, PdpSettings, compute_pdp
 from mvla_sim.imaging.pipeline import reconstruct
 from mvla_sim.imaging.projection import RangeProfiles, project
-from mvla_sim.imaging.tomography import LinearModel, background, noise_level, pulse_power
+from mvla_sim.imaging.tomography import LinearModel, background, pulse_power
 from mvla_sim.scene.antennas.horn import Horn
 from mvla_sim.scene.views import Views
 

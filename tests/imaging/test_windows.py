@@ -13,8 +13,7 @@ from scipy.special import i0
 
 from mvla_sim.dsp import Window
 from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.imaging_settings import PdpSettings
-from mvla_sim.imaging.pdp import compute_pdp
+from mvla_sim.imaging.pdp import PdpSettings, compute_pdp
 from mvla_sim.settings import parse
 
 betas = st.floats(0, 40)

@@ -15,8 +15,7 @@ import mvla_sim as mv
 from mvla_sim.channel.readers.touchstone_files import write_touchstone
 from mvla_sim.cli.app import run
 from mvla_sim.constants import SPEED_OF_LIGHT, range_to_delay
-from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.pipeline import front_end
+from mvla_sim.imaging.pipeline import observe
 
 CAR_SCENE = """
 name = "box"
@@ -132,7 +131,7 @@ def test_calibrated_levels_are_path_gains(bench):
     """The flash of a side at right angles: the plate's λ/(8πR), R = 8 − 0.75 m; the calibration takes the horns out."""
     channel = mv.load_channel(bench / "out" / "channel.nc")
     settings = mv.imaging_settings(grid={"size_m": [5, 5, 0]})
-    front = front_end(channel, settings, VoxelGrid.from_settings(settings.grid))
+    front = observe(channel, settings).front
     side = int(np.argmin(abs(channel.views.angles_deg - 90)))
     peak = front.pdp.power[side].argmax()
     assert front.pdp.range_m[peak] == pytest.approx(7.25, abs=0.03)

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from mvla_sim.errors import DataError
-from mvla_sim.imaging.methods.registry import phase_free_methods
+from mvla_sim.imaging.method import phase_free_methods
 from mvla_sim.paper.ablation import BESIDE, LADDER
 from mvla_sim.paper.beyond import sections_beyond
 from mvla_sim.paper.fair import EXPLAINED, WAYS, automatic_cost, fair_table, plot_fair

@@ -18,7 +18,6 @@ from distributed import Client
 from existing_cluster import Existing
 from sweep_files import experiment, numbers
 
-from mvla_sim.channel.simulate import cache_file
 from mvla_sim.cluster import dask_cluster as module
 from mvla_sim.cluster import worker as worker_module
 from mvla_sim.cluster.dask_cluster import IN_FLIGHT
@@ -196,7 +195,9 @@ def test_a_shared_cache_spares_tracing(tmp_path, monkeypatch):
             result = run_plan(plan, tmp_path / f"{name}-out", workers=0)
             assert result.count("done") == 1
             monkeypatch.setattr("mvla_sim.channel.simulate.ViewTracer", None)
-    assert [path.name for path in (tmp_path / "other" / "cir").iterdir()] == [cache_file(*plan.scenes.values()).name]
+    assert [path.name for path in (tmp_path / "other" / "cir").iterdir()] == [
+        next(iter(plan.sources.values())).file.name
+    ]
 
 
 def test_a_worker_killed_in_mid_sweep_costs_nothing(undisturbed, tmp_path, monkeypatch):
@@ -242,7 +243,7 @@ def test_an_existing_cluster_traces_computes_and_survives_its_scheduler(undistur
     plan, expected = undisturbed
     existing.start(workers=2)
     here = tmp_path / "our-cache"
-    file = cache_file(*plan.scenes.values())
+    file = next(iter(plan.sources.values())).file
     content = file.read_bytes()
     monkeypatch.setenv(VARIABLE, str(here))
     with open_cluster(None, existing.address) as cluster:

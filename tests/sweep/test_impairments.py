@@ -6,16 +6,16 @@ import pytest
 from sweep_files import experiment
 
 from mvla_sim.channel.impairments import ImpairmentSettings
-from mvla_sim.channel.simulate import cache_file, simulate
-from mvla_sim.evaluation.evaluate import evaluate
-from mvla_sim.imaging.imaging_settings import EvaluationSettings, ImagingSettings, imaging_settings
-from mvla_sim.imaging.pipeline import reconstruct
+from mvla_sim.channel.simulate import simulate
+from mvla_sim.evaluation.evaluate import EvaluationSettings, evaluate
+from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
+from mvla_sim.imaging.pipeline import Pipeline, reconstruct
 from mvla_sim.sweep import case as case_module
-from mvla_sim.sweep.batch import Batch, prepare, run_batch
+from mvla_sim.sweep.batch import load_profiles, run_batch
 from mvla_sim.sweep.case import case_key
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.run import run_experiment
-from mvla_sim.sweep.schedule import tasks_of
+from mvla_sim.sweep.schedule import groups_of
 from mvla_sim.sweep.store import identity
 
 CHANNEL = "c" * 32
@@ -101,20 +101,20 @@ def test_a_store_of_before_still_fits(tmp_path):
 
 def test_cases_share_a_channel_unless_its_impairments_differ(tmp_path):
     plan = expand(experiment(tmp_path, AXES, VARIANTS, SECTOR))
-    tasks = tasks_of(plan, plan.cases, 1)
+    tasks = groups_of(plan, plan.cases, 1)
     assert sorted(case.number for task in tasks for case in task.cases) == list(range(28))
-    shared = [task for task in tasks if task.key[3] is None]
+    shared = [task for task in tasks if not task.wanted.settings.impairments.of_channel(0)]
     assert [len(task.cases) for task in shared] == [12]  # unimpaired, missing, blocked
     assert len(tasks) == 1 + 4 * 2  # and each other one, once a seed
     offset = expand(experiment(tmp_path, AXES, overrides=("imaging.impairments.timing_offset_s=1e-9",)))
-    assert len(tasks_of(offset, offset.cases, 1)) == 1  # which draws nothing
+    assert len(groups_of(offset, offset.cases, 1)) == 1  # which draws nothing
 
 
 def test_a_sweep_gives_exactly_what_one_image_at_a_time_gives(tmp_path):
     settings = experiment(tmp_path, AXES, VARIANTS, SECTOR)
     table = run_experiment(settings, tmp_path / "out", workers=0)
     plan = expand(settings)
-    cir = simulate(next(iter(plan.scenes.values())))
+    cir = simulate(next(iter(plan.sources.values())).scene)
     assert list(table["status"]) == ["done"] * 28
     for case, row in zip(plan.cases, table.to_dict("records"), strict=True):
         image = reconstruct(cir, case.imaging)
@@ -129,12 +129,12 @@ def test_a_sweep_gives_exactly_what_one_image_at_a_time_gives(tmp_path):
 
 def test_the_prepared_channel_knows_both_kinds_of_positions(tmp_path):
     plan = expand(experiment(tmp_path, 'seed = [0]\n"imaging.impairments.position_error_m" = [0.0, 0.05]\n'))
-    for task in tasks_of(plan, plan.cases, 1):
-        simulate(task.scene)
-        channel = prepare(cache_file(task.scene), *task.key[1:])
-        moved = abs(channel.views.positions_m - channel.nominal_views.positions_m).max() > 0
+    for task in groups_of(plan, plan.cases, 1):
+        task.source.make()
+        channel = load_profiles(task.source.file, task.wanted.settings)
+        moved = abs(channel.views.positions_m - channel.true_views.positions_m).max() > 0
         assert moved == (task.cases[0].imaging.impairments.position_error_m > 0)
-        assert [row.status for row in run_batch(Batch(channel, task.cases))] == ["done"]
+        assert [row.status for row in run_batch(Pipeline(channel), task.cases)] == ["done"]
 
 
 def test_cases_without_a_view_fail_in_one_line_and_the_others_go_on(tmp_path):

@@ -14,7 +14,7 @@ from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.pipeline import select_views
 from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import expand
-from mvla_sim.sweep.schedule import tasks_of
+from mvla_sim.sweep.schedule import groups_of
 
 
 def keys(folder, axes, *overrides, **others):
@@ -34,7 +34,7 @@ def test_cases_are_the_product_in_the_order_of_the_file(tmp_path):
 def test_all_offsets_cover_every_view_of_every_interval_once(tmp_path):
     plan = expand(experiment(tmp_path, 'interval_deg = [10.0, 20.0, 60.0]\noffset = "all"\n'))
     assert len(plan.cases) == 1 + 2 + 6
-    scene = plan.scenes[plan.cases[0].channel]
+    scene = plan.sources[plan.cases[0].channel]
     for interval in (10.0, 20.0, 60.0):
         chosen = [
             select_views(scene.views, c.imaging.views) for c in plan.cases if c.values["interval_deg"] == interval
@@ -50,7 +50,7 @@ def test_all_offsets_follow_the_spacing_of_each_scene(tmp_path):
     plan = expand(experiment(tmp_path, axes, overrides=("imaging.views.interval_deg=30",)))
     counts = [c.scene.trajectory.interval_deg for c in plan.cases]
     assert (counts.count(5.0), counts.count(10.0)) == (6, 3)
-    assert len(plan.scenes) == 2
+    assert len(plan.sources) == 2
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_batches_hold_every_case_once_and_share_front_ends(tmp_path):
     plan = expand(
         experiment(tmp_path, 'seed = [0, 1, 2]\nmethod = ["bp", "mvla-gr"]\n"imaging.pdp.oversampling" = [4, 8]')
     )
-    tasks = tasks_of(plan, plan.cases, workers=3)
+    tasks = groups_of(plan, plan.cases, workers=3)
     assert len(tasks) == 2  # one for each oversampling
     assert sorted(case.number for task in tasks for case in task.cases) == list(range(12))
     for task in tasks:
@@ -197,7 +197,7 @@ def test_each_variant_is_the_whole_product_with_its_settings(tmp_path):
         tmp_path, "interval_deg = [10.0, 30.0]\nmethod = ['mvla-gr', 'bp']\nseed = [0, 1]\n"
     )
     assert len({c.channel for c in plan.cases}) == 2  # only the rough one is another channel
-    assert set(plan.scenes) == {c.channel for c in plan.cases}
+    assert set(plan.sources) == {c.channel for c in plan.cases}
 
 
 def test_variants_may_be_in_a_file_of_their_own(tmp_path):

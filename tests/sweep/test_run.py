@@ -12,18 +12,19 @@ import pandas as pd
 import pytest
 from sweep_files import AXES, experiment, numbers, write
 
-from mvla_sim.channel.simulate import cache_file, simulate
+from mvla_sim.channel.simulate import simulate
 from mvla_sim.errors import OutputError
 from mvla_sim.evaluation.candidates import unpack_table
 from mvla_sim.evaluation.evaluate import evaluate
-from mvla_sim.imaging.pipeline import reconstruct
+from mvla_sim.imaging.pipeline import Pipeline, reconstruct
 from mvla_sim.sweep import run as module
-from mvla_sim.sweep.batch import Batch, prepare, run_batch
+from mvla_sim.sweep.batch import run_batch
 from mvla_sim.sweep.case import Row
 from mvla_sim.sweep.experiment import load_experiment
+from mvla_sim.sweep.jobs import prepare_here
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.run import RunInterruptedError, images_of, run_experiment, run_plan
-from mvla_sim.sweep.schedule import tasks_of
+from mvla_sim.sweep.schedule import groups_of
 from mvla_sim.sweep.store import FILE, Store, identity
 from mvla_sim.sweep.survey import survey
 from mvla_sim.sweep.table import load_maps, load_table
@@ -34,10 +35,9 @@ MANY = 'interval_deg = [30.0]\noffset = "all"\nseed = [0, 1, 2, 3]\nmethod = ["m
 def in_process(plan, cases=None):
     """Rows of a plan, computed here."""
     rows = []
-    for task in tasks_of(plan, cases or plan.cases, 1):
-        simulate(task.scene)
-        channel = prepare(cache_file(task.scene), *task.key[1:], with_amplitude=task.with_amplitude)
-        rows += run_batch(Batch(channel, task.cases))
+    for task in groups_of(plan, cases or plan.cases, 1):
+        task.source.make()
+        rows += run_batch(Pipeline(prepare_here(task.source.file, task.wanted)), task.cases)
     return {row.key: row for row in rows}
 
 
@@ -67,7 +67,7 @@ def test_every_case_is_done_and_the_files_say_so(finished):
 def test_a_sweep_gives_what_one_image_at_a_time_gives(finished):
     """Bit for bit where a case uses every view; a subset's own range axis may begin a node later, and round anew."""
     plan, _, table = finished
-    cir = simulate(next(iter(plan.scenes.values())))
+    cir = simulate(next(iter(plan.sources.values())).scene)
     for case, row in zip(plan.cases, table.to_dict("records"), strict=True):
         alone = evaluate(reconstruct(cir, case.imaging), case.evaluation).as_dict()
         if case.values["interval_deg"] == 10.0:
@@ -186,7 +186,7 @@ def test_images_for_pictures_are_those_of_the_table(finished):
 @pytest.mark.parametrize("damage", ["truncated", "a flipped bit"])
 def test_a_damaged_cir_is_noticed_and_traced_again(finished, tmp_path, damage):
     plan, _, table = finished
-    file = cache_file(next(iter(plan.scenes.values())))
+    file = next(iter(plan.sources.values())).file
     content = bytearray(file.read_bytes())
     if damage == "truncated":
         content = content[: len(content) // 2]

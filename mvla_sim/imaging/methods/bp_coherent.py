@@ -13,30 +13,34 @@ spacing of views must be right to a fraction of λ; with a phase of its own in e
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from mvla_sim.constants import SPEED_OF_LIGHT
 from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.methods.base import Method
+from mvla_sim.imaging.method import Method
+from mvla_sim.imaging.noise import NOISES
 from mvla_sim.imaging.observation import Estimate, Observation
 from mvla_sim.imaging.projection import check_grid
 
-__all__ = ["METHOD"]
+__all__ = ["CoherentBackprojection"]
 
 _NODES_PER_CELL = 32
 """Nodes per ΔR between which h is taken as linear; it turns by at most π/32 there, which errs by 0.1 %."""
 _BLOCK = 1 << 14  # voxels at a time: their arrays stay in the cache
 
 
-class _CoherentBackprojection(Method):
+class CoherentBackprojection(Method):
     """``image_n = |Σ_m h_m(τ_mn) e^{+j2πf_c τ_mn}|²``, scaled by the largest |h|²."""
 
-    title = "Coherent backprojection"
-    uses_peaks = False
-    uses_pdp = True
-    uses_amplitude = True
+    name: ClassVar[str] = "bp-coherent"
+    title: ClassVar[str] = "Coherent backprojection"
+    uses_peaks: ClassVar[bool] = False
+    uses_pdp: ClassVar[bool] = True
+    uses_amplitude: ClassVar[bool] = True
 
     def image(self, seen: Observation) -> Estimate:
         """Add amplitudes up, ``[nz, ny, nx]``; in blocks of voxels, views in the order of their positions.
@@ -47,8 +51,9 @@ class _CoherentBackprojection(Method):
             Noise was added to the power, so that there is no phase any more.
         """
         if seen.pdp.amplitude is None:
+            kind = NOISES.name_of(type(seen.settings.noise))
             raise ConfigError(
-                f"noise.kind = '{seen.settings.noise.kind}': noise on the power leaves no phase, which bp-coherent "
+                f"noise.kind = '{kind}': noise on the power leaves no phase, which bp-coherent "
                 "needs; use noise.kind = 'complex' or noise.snr_db = 'none'"
             )
         check_grid(seen.grid)
@@ -60,9 +65,6 @@ class _CoherentBackprojection(Method):
             image = _focused(seen, seen.grid.centers(indices), (table, start, step), per_metre)
             total[indices] = image.real**2 + image.imag**2
         return Estimate(total.reshape(seen.grid.shape))
-
-
-METHOD = _CoherentBackprojection()
 
 
 def _fine(seen: Observation) -> tuple[NDArray[np.complex64], float, float]:

@@ -6,23 +6,27 @@ Communications 3, 745 (2012), who take it of the image; here it is of the profil
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
-from mvla_sim.imaging.methods.base import Method
+from mvla_sim.imaging.method import Method
 from mvla_sim.imaging.observation import Estimate, Observation
 from mvla_sim.imaging.projection import RangeProfiles
 
-__all__ = ["METHOD"]
+__all__ = ["FilteredBackprojection"]
 
 
-class _Filtered(Method):
+class FilteredBackprojection(Method):
     """``image_n = max(0, −Σ_m ∂²P_m/∂r² (|p_n − T_m|))``, the derivative taken over a resolution cell."""
 
-    title = "Filtered BP"
-    uses_peaks = False
-    uses_pdp = True
+    name: ClassVar[str] = "bp-filtered"
+    title: ClassVar[str] = "Filtered BP"
+    uses_peaks: ClassVar[bool] = False
+    uses_pdp: ClassVar[bool] = True
 
     def image(self, seen: Observation) -> Estimate:
+        """Project the derivatives."""
         pdp = seen.pdp
         step = max(1, round(pdp.resolution_m / pdp.step_m))
         padded = np.pad(pdp.power, ((0, 0), (step, step)), mode="edge")
@@ -30,6 +34,3 @@ class _Filtered(Method):
         largest = np.abs(second).max() or 1.0
         profiles = RangeProfiles((-second / largest).astype(np.float32), pdp.start_m, pdp.step_m)
         return Estimate(np.maximum(seen.project(profiles).total, 0))
-
-
-METHOD = _Filtered()

@@ -16,16 +16,19 @@ arms of a star do, the first echo found comes from behind it, and the point is c
 
 from __future__ import annotations
 
+from typing import Annotated, ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from mvla_sim.imaging.methods.base import Method
-from mvla_sim.imaging.mvla import range_axis
+from mvla_sim.imaging.likelihood import range_axis
+from mvla_sim.imaging.method import Method
 from mvla_sim.imaging.observation import Estimate, Observation
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import RangeProfiles
 
-__all__ = ["METHOD", "first_echoes"]
+__all__ = ["FirstEchoCarving", "first_echoes"]
 
 _NEGLIGIBLE_SIGMAS = 6.5  # beyond it a first echo is below 10⁻⁹ and taken as 0: numbers as small as exp gives are slow
 
@@ -38,7 +41,7 @@ def first_echoes(peaks: Peaks) -> NDArray[np.float64]:
     return first
 
 
-class _Carving(Method):
+class FirstEchoCarving(Method):
     """``s_n = −c_n where c_n > γ, else a_n``: on a first echo, and not in front of others.
 
     With r_mn the range of voxel n from view m, M_n the number of views whose beam covers it, and R_m the first echo:
@@ -50,21 +53,29 @@ class _Carving(Method):
     Carved voxels come last, those that fewest views carve before the others. A view without a peak carves nothing.
     """
 
-    title = "First-echo carving"
+    name: ClassVar[str] = "carving"
+    title: ClassVar[str] = "First-echo carving"
+
+    kernel: Annotated[float, Field(gt=0, le=100, description="width σ of a first echo, in ΔR")] = 0.5
+    margin: Annotated[float, Field(ge=0, le=100, description="what a view carves ends so far before its first echo, "
+                                   "in ΔR")] = 0.5  # fmt: skip
+    share: Annotated[float, Field(ge=0, lt=1, description="a voxel is empty if more than this share of the views that "
+                                  "cover it carve it")] = 0.01  # fmt: skip
+
+    @property
+    def projections(self) -> float:
+        """About how many projections its image costs."""
+        return 2.0
 
     def image(self, seen: Observation) -> Estimate:
         """Project first echoes and what is in front of them: two sums over views, ``[nz, ny, nx]``."""
-        settings = seen.settings.carving
-        sigma = settings.kernel * seen.resolution_m
+        sigma = self.kernel * seen.resolution_m
         start, step, nodes = range_axis(seen.span_m, 2 * sigma, seen.n_view)  # 8 nodes a σ: within 0.2 %
         behind = nodes - first_echoes(seen.peaks)[:, None]
         echo = np.where(np.abs(behind) < _NEGLIGIBLE_SIGMAS * sigma, behind, np.inf)
         on = RangeProfiles(np.exp(echo**2 / (-2 * sigma**2)).astype(np.float32), start, step)
-        before = RangeProfiles((behind < -settings.margin * seen.resolution_m).astype(np.float32), start, step)
+        before = RangeProfiles((behind < -self.margin * seen.resolution_m).astype(np.float32), start, step)
         touching, carving = seen.project(on), seen.project(before)
         views = np.float32(seen.n_view) if touching.coverage is None else np.maximum(touching.coverage, np.float32(1))
         touched, carved = touching.total / views, carving.total / views
-        return Estimate(np.where(carved > settings.share, -carved, touched).astype(np.float32))
-
-
-METHOD = _Carving()
+        return Estimate(np.where(carved > self.share, -carved, touched).astype(np.float32))

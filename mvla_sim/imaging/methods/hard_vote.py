@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from mvla_sim.imaging.methods.mvla_hard import HardVote
 
-__all__ = ["METHOD"]
+__all__ = ["UngatedHardVote"]
 
 
-class _Ungated(HardVote):
+class UngatedHardVote(HardVote):
     """``s_n = 1/M Σ_m 1{min_i |R_mi − |p_n − T_m|| ≤ ε_R}`` (``eq:hard_posterior``), without angular support."""
 
-    title = "Hard vote"
-    with_support = False
-
-
-METHOD = _Ungated()
+    name: ClassVar[str] = "hard-vote"
+    title: ClassVar[str] = "Hard vote"
+    with_support: ClassVar[bool] = False

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from mvla_sim.imaging.methods.base import Method
+from mvla_sim.imaging.method import Method
 from mvla_sim.imaging.observation import Estimate, Observation
 from mvla_sim.imaging.tomography import LinearModel, background, scale_of
 
-__all__ = ["METHOD", "maximize"]
+__all__ = ["Mlem", "maximize"]
 
 _NOTHING: Final = np.float32(1e-30)
 """Of the brightest voxel: less is 0, for threads differ in whether they keep the smallest numbers."""
@@ -73,16 +74,22 @@ def maximize(
     return found
 
 
-class _Mlem(Method):
+class Mlem(Method):
     """``x ← x · Aᵀ(P/(A x + b)) / Aᵀ1`` with P the profiles, A :class:`LinearModel`, b what their noise amounts to."""
 
-    title = "MLEM"
-    uses_peaks = False
-    uses_pdp = True
+    name: ClassVar[str] = "mlem"
+    title: ClassVar[str] = "MLEM"
+    uses_peaks: ClassVar[bool] = False
+    uses_pdp: ClassVar[bool] = True
+
+    iterations: Annotated[int, Field(ge=1, le=10_000, description="steps; more sharpen the image, and the noise")] = 40
+
+    @property
+    def projections(self) -> float:
+        """About how many projections its image costs."""
+        return 2.0 * self.iterations + 1
 
     def image(self, seen: Observation) -> Estimate:
+        """Iterate."""
         power = seen.pdp.power
-        return Estimate(maximize(LinearModel.of(seen), power, background(power), seen.settings.mlem.iterations))
-
-
-METHOD = _Mlem()
+        return Estimate(maximize(LinearModel.of(seen), power, background(power), self.iterations))

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from mvla_sim.imaging.methods.base import Method
+from mvla_sim.dsp import noise_level
+from mvla_sim.imaging.method import Method
 from mvla_sim.imaging.observation import Estimate, Observation
-from mvla_sim.imaging.tomography import LinearModel, noise_level, scale_of
+from mvla_sim.imaging.tomography import LinearModel, scale_of
 
-__all__ = ["METHOD", "minimize"]
+__all__ = ["Nnls", "minimize"]
 
 
 def minimize(
@@ -80,17 +82,23 @@ def minimize(
     return model.image(image) * np.float32(scale)
 
 
-class _Nnls(Method):
+class Nnls(Method):
     """``min ‖A x − (P − b)‖²``, x ≥ 0, with P the profiles, A :class:`LinearModel`, b the median of each profile."""
 
-    title = "NNLS"
-    uses_peaks = False
-    uses_pdp = True
+    name: ClassVar[str] = "nnls"
+    title: ClassVar[str] = "NNLS"
+    uses_peaks: ClassVar[bool] = False
+    uses_pdp: ClassVar[bool] = True
+
+    iterations: Annotated[int, Field(ge=1, le=10_000, description="steps; more sharpen the image, and the noise")] = 20
+
+    @property
+    def projections(self) -> float:
+        """About how many projections its image costs."""
+        return 2.0 * self.iterations + 2
 
     def image(self, seen: Observation) -> Estimate:
+        """Iterate."""
         power = seen.pdp.power
         level, _ = noise_level(power)
-        return Estimate(minimize(LinearModel.of(seen), power, level, seen.settings.nnls.iterations))
-
-
-METHOD = _Nnls()
+        return Estimate(minimize(LinearModel.of(seen), power, level, self.iterations))

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from mvla_sim.imaging.methods.mvla_gr import MvlaGr
 
-__all__ = ["METHOD"]
+__all__ = ["PowerWeights"]
 
 
-class _PowerWeights(MvlaGr):
+class PowerWeights(MvlaGr):
     """``s_n = 1/M Σ_m b_mn Σ_i w_mi φ(|p_n − T_m| − R_mi)`` (``eq:view_support_new``), without angular support."""
 
-    title = "Power weights"
-    with_support = False
-
-
-METHOD = _PowerWeights()
+    name: ClassVar[str] = "power-weights"
+    title: ClassVar[str] = "Power weights"
+    with_support: ClassVar[bool] = False

@@ -24,17 +24,19 @@ flat wall that they touch. σ_θ and σ_X were chosen on circle, square and tria
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.ndimage import gaussian_filter1d
 
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.methods.base import Method
+from mvla_sim.imaging.method import Method
 from mvla_sim.imaging.observation import Estimate, Observation
 
-__all__ = ["METHOD", "ContourPoints", "contour_points"]
+__all__ = ["ContourPoints", "RangePointsMigration", "contour_points"]
 
 _REACH_SIGMAS = 3.0
 """Neighbours farther away, in σ_X, weigh under 0.011 of the nearest and are left out."""
@@ -85,10 +87,15 @@ class _Crossings:
     weight: Floats
 
 
-class _RangePointsMigration(Method):
+class RangePointsMigration(Method):
     """``s_n = Σ_i a_i exp(−|p_n − x_i|²/(2σ²))``: x_i contour points, a_i their maxima, σ = ``rpm.kernel``·ΔR."""
 
-    title = "Range Points Migration"
+    name: ClassVar[str] = "rpm"
+    title: ClassVar[str] = "Range Points Migration"
+
+    sigma_theta_deg: Annotated[float, Field(ge=0.01, le=30, description="σ_θ: how well directions must agree")] = 1.0
+    sigma_x_m: Annotated[float, Field(gt=0, le=1e4, description="σ_X: how far away neighbouring views count")] = 4.0
+    kernel: Annotated[float, Field(gt=0, le=100, description="width σ of a contour point on the grid, in ΔR")] = 1.0
 
     def image(self, seen: Observation) -> Estimate:
         """Find the contour points and put them on the grid, ``[1, ny, nx]``.
@@ -100,17 +107,16 @@ class _RangePointsMigration(Method):
         DataError
             No two circles intersect on the grid.
         """
-        found = contour_points(seen)
-        sigma = seen.settings.rpm.kernel * seen.resolution_m
+        found = contour_points(seen, self.sigma_x_m, np.deg2rad(self.sigma_theta_deg))
+        sigma = self.kernel * seen.resolution_m
         weight = found.agreement / found.agreement.max()
         return Estimate(_bells(seen.grid, found.position_m, weight, sigma))
 
 
-METHOD = _RangePointsMigration()
-
-
-def contour_points(seen: Observation) -> ContourPoints:
+def contour_points(seen: Observation, sigma_x: float, sigma_theta: float) -> ContourPoints:
     """Contour point of every range point that any neighbour's circle meets on the grid, views in order of position.
+
+    σ_X is in metres, σ_θ in radians.
 
     Raises
     ------
@@ -125,8 +131,6 @@ def contour_points(seen: Observation) -> ContourPoints:
     if seen.views.receivers_m is not None:
         raise ConfigError("method = 'rpm': receivers stand apart from transmitters; rpm takes circles, not ellipses")
     points = _range_points(seen)
-    sigma_x = seen.settings.rpm.sigma_x_m
-    sigma_theta = np.deg2rad(seen.settings.rpm.sigma_theta_deg)
     starts = np.flatnonzero(np.diff(points.view, prepend=-1))
     stops = np.append(starts[1:], points.view.size)
     positions = seen.views.positions_m[points.view[starts]]

@@ -1,15 +1,57 @@
-"""From a continuous image to a binary one: the joint threshold on score and angular support."""
+"""From a continuous image to a binary one: the joint threshold on score and angular support, and rules for it."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.errors import ConfigError
+from mvla_sim.grid import VoxelGrid
+from mvla_sim.kinds import Kind, Kinds
 
-__all__ = ["joint_threshold", "rank_order", "top_count"]
+__all__ = ["THRESHOLD_RULES", "ThresholdRule", "Thresholds", "joint_threshold", "rank_order", "top_count"]
+
+THRESHOLD_RULES: Final[Kinds[ThresholdRule]] = Kinds(
+    "threshold rule", "mvla_sim.threshold_rules", "mvla_sim.imaging.threshold_rules", key="rule", default="given",
+    short=True,
+)  # fmt: skip
+"""All ways to choose thresholds by name; the name alone stands for a rule at its defaults."""
+
+
+class Thresholds(NamedTuple):
+    """A pair of thresholds: p in per cent of all voxels, T_θ in degrees."""
+
+    top_percent: float
+    min_support_deg: float
+
+
+class ThresholdRule(Kind):
+    """A way to choose p and T_θ that does not look at the truth.
+
+    A rule has the field ``rule``, a ``Literal`` of its name, and :meth:`thresholds`.
+    """
+
+    kinds: ClassVar[Kinds[ThresholdRule]] = THRESHOLD_RULES
+
+    def thresholds(
+        self, score: NDArray[Any], support_deg: NDArray[Any] | None, grid: VoxelGrid, resolution_m: float | None
+    ) -> Thresholds:
+        """Choose thresholds for an image.
+
+        Parameters
+        ----------
+        score
+            Image, ``[nz, ny, nx]`` or flattened.
+        support_deg
+            Θ_n of the same shape, degrees; None for methods without it.
+        grid
+            The image's grid.
+        resolution_m
+            ΔR, metres; None where it is not known.
+        """
+        raise NotImplementedError
 
 
 def rank_order(score: NDArray[Any]) -> NDArray[np.intp]:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.imaging_settings import MvlaSettings
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import RangeProfiles
 from mvla_sim.memory import check_memory
+from mvla_sim.settings import Settings
 
-__all__ = ["hard_profiles", "kernel_scales", "likelihood_profiles", "nearest_peak", "range_axis"]
+__all__ = ["MvlaSettings", "hard_profiles", "kernel_scales", "likelihood_profiles", "nearest_peak", "range_axis"]
 
 _SAMPLES_PER_SIGMA = 16
 """Nodes per σ_R: linear interpolation then errs by at most h²/(8σ²) = 4.9·10⁻⁴ of a kernel's peak."""
@@ -19,6 +20,15 @@ _NEGLIGIBLE_SIGMAS = 6.5
 """Beyond it the kernel is below 10⁻⁹, a hundredth of float32's resolution of a score, and is not evaluated."""
 _FAR_M = 1e6
 _BYTES_PER_NODE = 24  # value and distance, with copies in float64 while they are made
+
+
+class MvlaSettings(Settings):
+    """MVLA-GR's kernel: σ_R = κ·ΔR (``eq:sigmaR_general``), R_T = max(σ_R, η·D) (``eq:RT_def_new``)."""
+
+    kappa: PositiveFloat = Field(0.5, description="κ: width of the kernel in ΔR")
+    eta: NonNegativeFloat = Field(0.04, description="η: least reach of a peak in D")
+    extent_m: PositiveFloat | None = Field(None, description="D; by default the target's extent in the CIR file")
+    tolerance_m: PositiveFloat | None = Field(None, description="ε_R of the hard vote; by default ΔR")
 
 
 def kernel_scales(settings: MvlaSettings, resolution_m: float, extent_m: float) -> tuple[float, float]:

@@ -1,0 +1,1 @@
+"""Peak detectors, a module each."""

@@ -1,0 +1,1 @@
+"""Kinds of noise, a module each."""

@@ -1,0 +1,1 @@
+"""Rules that choose thresholds without the truth, a module each."""

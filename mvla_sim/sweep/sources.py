@@ -1,0 +1,82 @@
+"""Where the channels of an experiment come from: scenes, which are traced, and channel files, which are there."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mvla_sim.channel.loading import load_channel
+from mvla_sim.channel.simulate import cache_file, simulate
+from mvla_sim.errors import DataError
+from mvla_sim.scene.views import Views
+from mvla_sim.scene.world import Scene
+
+__all__ = ["Source", "file_source", "traced_source"]
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Where the channel of some cases comes from.
+
+    Attributes
+    ----------
+    key
+        What identifies the channel's content, and its name in the cache.
+    name
+        What it is called in tables: the scene's name, or the channel file's.
+    views
+        All its views.
+    file
+        The channel file; of a scene that in the cache, which need not be there yet.
+    scene
+        The scene that is traced; None for a channel file.
+    outline
+        The truth of a channel file that carries none; None: its own.
+    """
+
+    key: str
+    name: str
+    views: Views
+    file: Path
+    scene: Scene | None = None
+    outline: Any = None
+
+    def make(self) -> None:
+        """Trace the scene, unless that was done. Raises as :func:`simulate`."""
+        if self.scene is not None:
+            simulate(self.scene)
+
+
+def traced_source(scene: Scene) -> Source:
+    """The channel of a scene."""
+    file = cache_file(scene)
+    return Source(file.stem, scene.name, scene.views, file, scene)
+
+
+def file_source(path: str | os.PathLike[str], outline: Any = None) -> Source:
+    """The channel in a file, of any kind that imaging takes.
+
+    Parameters
+    ----------
+    path
+        A file of ``mvla import`` or ``mvla simulate``.
+    outline
+        Truth where the file has none.
+
+    Raises
+    ------
+    DataError
+        No readable channel file; or it carries no outline and none is given.
+    """
+    file = Path(path)
+    channel = load_channel(file)
+    if channel.outline is None and outline is None:
+        raise DataError(f"{file}: carries no outline of its target to score against; give truth = a scene file")
+    name = str(channel.config.get("name") or file.stem)
+    digest = hashlib.sha256(file.read_bytes())
+    if channel.outline is None:
+        digest.update(outline.wkb)
+    return Source(f"file-{digest.hexdigest()[:32]}", name, channel.views, file, None, channel.outline or outline)
