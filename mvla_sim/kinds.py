@@ -13,6 +13,7 @@ import inspect
 import json
 import pkgutil
 import typing
+from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, ClassVar, Final, Generic, TypeVar
@@ -81,6 +82,10 @@ class Kinds(Generic[K]):
         self.key = key
         self.default = default
         self.short = short
+        self.resolvers: list[Callable[[str], type[K] | None]] = []
+        """Ways to find what goes by other names than classes, as ``file.py:function``."""
+        self.adapters: list[Callable[[str, Any], type[K] | None]] = []
+        """Ways to make a class of a name and of what an entry point offers that is none."""
         self._classes: dict[str, type[K]] = {}
         self._complete = False
 
@@ -128,6 +133,9 @@ class Kinds(Generic[K]):
         """
         if name not in self._classes:
             self._load_own()
+            found = next((cls for resolve in self.resolvers if (cls := resolve(name)) is not None), None)
+            if found is not None:
+                return found
         if name not in self._classes:
             point = next((point for point in self._points() if point.name == name), None)
             if point is None:
@@ -145,9 +153,12 @@ class Kinds(Generic[K]):
             raise ConfigError(
                 f"{self.what} '{point.name}': {point.value} cannot be imported ({reason(error)})"
             ) from error
-        if not (isinstance(found, type) and issubclass(found, Kind) and found.kinds is self):
-            raise ConfigError(f"{self.what} '{point.name}': {point.value} is no class of that kind")
-        return typing.cast("type[K]", found)
+        if isinstance(found, type) and issubclass(found, Kind) and found.kinds is self:
+            return typing.cast("type[K]", found)
+        made = next((cls for adapt in self.adapters if (cls := adapt(point.name, found)) is not None), None)
+        if made is None:
+            raise ConfigError(f"{self.what} '{point.name}': {point.value} is {type(found).__name__}, not a {self.what}")
+        return made
 
     def model_of(self, value: Any) -> type[K] | None:
         """The class that plain data are settings of; None where they name none.

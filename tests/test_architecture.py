@@ -49,8 +49,14 @@ def for_each(things):
 
 
 def imports(tree):
-    """Full names of everything a module imports, wherever in it."""
+    """Full names of everything a module imports, wherever in it, but for what only annotations need."""
+    skipped = [
+        node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    ]
+    unseen = {inner for node in skipped for inner in ast.walk(node)}
     for node in ast.walk(tree):
+        if node in unseen:
+            continue
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

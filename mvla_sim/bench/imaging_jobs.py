@@ -65,7 +65,7 @@ class FrontEndJob(Job):
             self.pdp = self._profiles()
             return
         noise = self.settings.noise.model_copy(update={"seed": number})
-        peaks = self.settings.peaks.extract(noise.add(self.pdp))
+        peaks = self.settings.peaks.peaks_of(noise.add(self.pdp))
         likelihood_profiles(peaks, *kernel_scales(self.settings.mvla, self.pdp.resolution_m, EXTENT_M), self.span_m)
         self.found = peaks.range_m.size / peaks.n_view
 

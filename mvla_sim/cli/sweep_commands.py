@@ -115,7 +115,7 @@ def report(output: ResultsFolder = Path("results")) -> None:
 def _show_survey(plan: Plan, found: Survey, workers: int) -> None:
     """Print what a run would do: cases by axis, what is stored and cached, and about how long it takes."""
     table = Table("axis", "values", "", title=plan.experiment.name)
-    table.add_row("scene", str(len(plan.files)), ", ".join(plan.files))
+    table.add_row("scene", str(len(plan.names)), ", ".join(plan.names))
     for axis, values in plan.experiment.axes.items():
         count = "" if values == ("all",) else str(len(values))
         table.add_row(axis, count, ", ".join("none" if value is None else str(value) for value in values))

@@ -27,9 +27,9 @@ from mvla_sim.engine.machine import program_version
 from mvla_sim.engine.provenance import code_digest, provenance
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import atomic_output, check_writable
-from mvla_sim.imaging.functions import names_a_file
 from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.method import METHODS, phase_free_methods
+from mvla_sim.imaging.methods.functions import names_a_file
 from mvla_sim.imaging.threshold_rules.given import GivenThresholds
 from mvla_sim.interrupt import interruptible
 from mvla_sim.progress import progress

@@ -12,11 +12,11 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from mvla_sim.channel.impairments import ImpairmentSettings
 from mvla_sim.errors import ConfigError
 from mvla_sim.grid import GridSettings
-from mvla_sim.imaging import functions
 from mvla_sim.imaging.beam import BeamSettings
 from mvla_sim.imaging.detectors.local_maxima import LocalMaxima
 from mvla_sim.imaging.likelihood import MvlaSettings
 from mvla_sim.imaging.method import METHODS, Method
+from mvla_sim.imaging.methods import functions
 from mvla_sim.imaging.noise import NOISES, Noise
 from mvla_sim.imaging.noises.gaussian import GaussianNoise
 from mvla_sim.imaging.pdp import PdpSettings

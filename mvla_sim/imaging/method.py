@@ -15,25 +15,7 @@ __all__ = ["METHODS", "Method", "SumOverViews", "phase_free_methods", "title_of"
 
 
 class MethodKinds(Kinds["Method"]):
-    """The methods: this package's, those of entry points, and functions, for which :mod:`~.functions` has the rules."""
-
-    def find(self, name: str) -> type[Method]:
-        """Return a method by its name, or that of a function as ``file.py:function``.
-
-        Raises
-        ------
-        ConfigError
-            There is none, or what it names cannot be imported; one line.
-        """
-        from mvla_sim.imaging import functions  # noqa: PLC0415 - it builds methods, so it knows what one is
-
-        return functions.of_file(name) if functions.names_a_file(name) else super().find(name)
-
-    def offered(self, point: Any) -> type[Method]:
-        """The method behind an entry point: a class, or a function."""
-        from mvla_sim.imaging import functions  # noqa: PLC0415 - as above
-
-        return functions.of_entry_point(point)
+    """The methods: classes, and the functions of :mod:`mvla_sim.imaging.methods.functions`."""
 
     def block(self, key: str, chosen: str) -> type[Method] | None:
         """The method whose settings stand under ``[imaging.KEY]`` where the method ``chosen`` is used; None for none's.
@@ -58,7 +40,7 @@ class Method(Kind):
 
     A method of this package is a module of :mod:`mvla_sim.imaging.methods` with one class. Its settings are its fields;
     they stand under ``[imaging.NAME]``. Other people's may be such classes too, or functions; see
-    :mod:`mvla_sim.imaging.functions`.
+    :mod:`mvla_sim.imaging.methods.functions`.
     """
 
     kinds: ClassVar[Kinds[Any]] = METHODS

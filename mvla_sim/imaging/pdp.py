@@ -97,7 +97,12 @@ def gate_for(grid: VoxelGrid, views: Views, settings: PdpSettings) -> tuple[floa
     return grid.range_span_m(views.positions_m, views.receivers_m)
 
 
-def compute_pdp(channel: Cir | FrequencyResponse, settings: PdpSettings, gate_m: tuple[float, float]) -> Pdp:
+def compute_pdp(
+    channel: Cir | FrequencyResponse,
+    settings: PdpSettings,
+    gate_m: tuple[float, float],
+    only: NDArray[np.intp] | None = None,
+) -> Pdp:
     """Compute the power delay profiles of every view inside a range gate, without any noise but the data's own.
 
     Parameters
@@ -108,12 +113,14 @@ def compute_pdp(channel: Cir | FrequencyResponse, settings: PdpSettings, gate_m:
         Window and oversampling.
     gate_m
         (near, far), one-way metres.
+    only
+        Views whose profiles are wanted, ``[n]``; by default all.
 
     Raises
     ------
     DataError
-        The gate holds no path of any view; the message says where the paths are. Or it reaches beyond the unambiguous
-        range of frequency responses.
+        The gate holds no path of any view of the channel; the message says where the paths are. Or it reaches beyond
+        the unambiguous range of frequency responses.
     ConfigError
         The same for a gate that was set, or a gate that does not fit into memory.
 
@@ -127,23 +134,24 @@ def compute_pdp(channel: Cir | FrequencyResponse, settings: PdpSettings, gate_m:
     The inverse FFT is zero-padded to the oversampled axis and divided by Σ W. Paths outside gate and margin are left
     out, as range gating before the transform would.
     """
+    numbers = np.arange(channel.n_view) if only is None else only
     window = Window(settings.window, settings.kaiser_beta)
     resolution = range_resolution(channel.bandwidth_hz)
     step = resolution / settings.oversampling
     first = max(0, int(np.floor(gate_m[0] / step)) - 1)  # a spare sample at both ends: the gate's own ends lie inside
     count = int(np.ceil(gate_m[1] / step)) + 1 - first + 1
     check_memory(
-        _BYTES_PER_SAMPLE * channel.n_view * float(count),
-        f"pdp.gate_m = [{gate_m[0]:g}, {gate_m[1]:g}]: profiles of {channel.n_view} views at steps of {step:.2g} m",
+        _BYTES_PER_SAMPLE * numbers.size * float(count),
+        f"pdp.gate_m = [{gate_m[0]:g}, {gate_m[1]:g}]: profiles of {numbers.size} views at steps of {step:.2g} m",
         "narrow the gate {factor:.2g} times",
     )
     if isinstance(channel, FrequencyResponse):
         _check_unambiguous(channel, settings, gate_m)
         weights = window.weights(channel.response.shape[1])
         length = weights.size * settings.oversampling
-        amplitude = range_profiles(channel.response, weights, length, np.arange(first, first + count))
+        amplitude = range_profiles(channel.response[numbers], weights, length, np.arange(first, first + count))
     else:
-        amplitude = _of_paths(channel, window, settings.oversampling, (first, count), gate_m)
+        amplitude = _of_paths(channel, numbers, window, (settings.oversampling, first, count), gate_m)
     power = amplitude.real**2 + amplitude.imag**2
     return Pdp(
         power, amplitude, first * step, step, resolution, window.broadening, window, settings.oversampling,
@@ -152,10 +160,10 @@ def compute_pdp(channel: Cir | FrequencyResponse, settings: PdpSettings, gate_m:
 
 
 def _of_paths(
-    cir: Cir, window: Window, oversampling: int, samples: tuple[int, int], gate_m: tuple[float, float]
+    cir: Cir, numbers: NDArray[np.intp], window: Window, axis: tuple[int, int, int], gate_m: tuple[float, float]
 ) -> NDArray[np.complex128]:
-    """Band-limited impulse responses at so many samples from a first one on, ``[n_view, count]``."""
-    first, count = samples
+    """Band-limited impulse responses of some views, ``[n, count]``; ``axis``: oversampling, first sample, count."""
+    oversampling, first, count = axis
     step = range_resolution(cir.bandwidth_hz) / oversampling
     margin = _MARGIN_CELLS * oversampling
     frequencies = frequency_count(count, oversampling)
@@ -173,12 +181,12 @@ def _of_paths(
             away = np.maximum(gate_m[0] - ranges, ranges - gate_m[1]).min()
             where = f"they lie from {ranges.min():.2f} to {ranges.max():.2f} m, the nearest {away:.2f} m outside"
         raise DataError(f"no path lies inside the range gate of {gate_m[0]:.2f} to {gate_m[1]:.2f} m; {where}")
-    spectra = np.empty((cir.n_view, frequencies), np.complex128)
-    for view in range(cir.n_view):
+    spectra = np.empty((numbers.size, frequencies), np.complex128)
+    for row, view in enumerate(numbers):
         rows = cir.rows(view)
         kept = inside[rows]
         delay = cir.delay_s[rows][kept] - axis_start_s
-        spectra[view] = path_spectrum(cir.gain[rows][kept], delay, lowest_hz, spacing_hz, frequencies)
+        spectra[row] = path_spectrum(cir.gain[rows][kept], delay, lowest_hz, spacing_hz, frequencies)
     return range_profiles(spectra, weights, length, np.arange(margin, margin + count))
 
 

@@ -93,19 +93,3 @@ class PeakDetector(Kind):
     def peaks_of(self, pdp: Pdp) -> Peaks:
         """Find the components of every view, each on its own; views may have none."""
         raise NotImplementedError
-
-    def extract(self, pdp: Pdp) -> Peaks:
-        """Find the components of every view.
-
-        Raises
-        ------
-        DataError
-            No view has any.
-        """
-        peaks = self.peaks_of(pdp)
-        if not peaks.range_m.size:
-            raise DataError(
-                f"no peak in any of {peaks.n_view} views; lower peaks.threshold_sigma (now {self.threshold_sigma:g}) "
-                "or raise the SNR"
-            )
-        return peaks

@@ -137,22 +137,19 @@ def profile_channel(
     impairments, pdp_settings, gate_m = profile_key(settings, channel.views)
     numbers = np.arange(channel.n_view) if only is None else only
     seen = channel if impairments is None else impair_channel(channel, impairments, gate_m)
-    views = seen.views
-    if numbers.size < channel.n_view:
-        seen = seen.select(numbers)
     pdp, components = None, None
     if isinstance(seen, Components):
-        components = Peaks(seen.range_m, seen.power, seen.row_size)
+        components = Peaks(seen.range_m, seen.power, seen.row_size).select(numbers)
     else:
         assert isinstance(seen, Cir | FrequencyResponse)
-        pdp = compute_pdp(seen, pdp_settings, gate_m)
+        pdp = compute_pdp(seen, pdp_settings, gate_m, numbers)
         if not with_amplitude:
             pdp = replace(pdp, amplitude=None)
     return ProfiledChannel(
         pdp=pdp,
         components=components,
         numbers=numbers,
-        views=views,
+        views=seen.views,
         true_views=channel.views,
         resolution_m=range_resolution(channel.bandwidth_hz),
         extent_m=channel.extent_m,
@@ -194,8 +191,6 @@ class Pipeline:
         ------
         ConfigError
             A method that needs profiles of components, which are none.
-        DataError
-            No peak in any view.
         """
         channel, method = self.channel, settings.chosen
         if channel.components is not None:
@@ -210,22 +205,25 @@ class Pipeline:
         pdp = self.keep("noise", noise, lambda: noise.add(clean, channel.numbers))
         peaks = Peaks.none(channel.numbers.size)
         if method.uses_peaks:
-            peaks = self.keep("peaks", (noise, settings.peaks), lambda: settings.peaks.extract(pdp))
+            peaks = self.keep("peaks", (noise, settings.peaks), lambda: settings.peaks.peaks_of(pdp))
         return FrontEnd(pdp, peaks, channel.resolution_m)
 
     def observation(self, settings: ImagingSettings) -> Observation:
-        """What a method sees of the chosen views.
+        """What a method sees of the chosen views. Raises as :meth:`front_end`."""
+        return self._of_all(settings).select(self._rows(settings))
 
-        Raises
-        ------
-        ConfigError, DataError
-            As :meth:`front_end`; or no chosen view has a peak, and the method looks at nothing else.
-        """
-        channel, method = self.channel, settings.chosen
+    def _rows(self, settings: ImagingSettings) -> NDArray[np.intp]:
+        """Where the chosen views are among ``channel.numbers``."""
+        views = self.channel.true_views
+        return np.searchsorted(
+            self.channel.numbers, chosen_views(views, settings.views, settings.impairments, settings.noise.seed)
+        )
+
+    def _of_all(self, settings: ImagingSettings) -> Observation:
+        """What a method would see of the views ``channel.numbers``."""
+        channel = self.channel
         grid = VoxelGrid.from_settings(settings.grid)
-        chosen = chosen_views(channel.true_views, settings.views, settings.impairments, settings.noise.seed)
-        rows = np.searchsorted(channel.numbers, chosen)
-        seen = Observation(
+        return Observation(
             front=self.front_end(settings),
             views=self.keep("views", None, lambda: channel.views.select(channel.numbers)),
             grid=grid,
@@ -234,14 +232,6 @@ class Pipeline:
             span_m=grid.range_span_m(channel.views.positions_m, channel.views.receivers_m),
             beam=self.keep("beam", settings.beam, lambda: build_beam(channel.antenna, settings.beam)),
         )
-        found = seen.peaks.row_size[rows].sum()
-        if method.uses_peaks and not method.uses_pdp and found == 0:
-            raise DataError(
-                f"no peak in any of the {rows.size} chosen views; lower peaks.threshold_sigma or raise the SNR"
-            )
-        key = (method.name, method, settings.mvla, settings.noise, settings.peaks, seen.span_m)
-        made = self.keep("profiles", key, lambda: method.profiles(seen))
-        return replace(seen, made=made).select(rows)
 
     def image(self, settings: ImagingSettings) -> Image:
         """Make the image; with ``settings.threshold`` the binary one too.
@@ -251,8 +241,16 @@ class Pipeline:
         ConfigError, DataError
             A setting does not fit the channel, or nothing is left to project.
         """
-        seen = self.observation(settings)
-        result = settings.chosen.image(seen)
+        method, rows, every = settings.chosen, self._rows(settings), self._of_all(settings)
+        if method.uses_peaks and not method.uses_pdp and not every.peaks.row_size[rows].any():
+            raise DataError(
+                f"no peak in any of the {rows.size} chosen views; lower peaks.threshold_sigma (now "
+                f"{settings.peaks.threshold_sigma:g}) or raise the SNR"
+            )
+        key = (method.name, method, settings.mvla, settings.noise, settings.peaks, every.span_m)
+        made = self.keep("profiles", key, lambda: method.profiles(every))
+        seen = replace(every, made=made).select(rows)
+        result = method.image(seen)
         occupied = None
         if settings.threshold is not None:
             pair = settings.threshold.thresholds(result.score, result.support_deg, seen.grid, seen.resolution_m)

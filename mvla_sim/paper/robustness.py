@@ -122,7 +122,7 @@ def draw_robustness(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]
         return []
     centimetres = f"{100 * max(plan.experiment.evaluation.distances_m):g}"
     pictures: list[Path] = []
-    for scene in plan.files:
+    for scene in plan.names:
         with contextlib.suppress(DataError):  # no case of it is finished
             figure = plot_robustness(
                 table, scene=scene, f1=f"f1_{centimetres}cm", f1_label=f"F1 at {centimetres} cm", title=scene

@@ -90,7 +90,7 @@ def test_cylinder_is_at_its_nearest_point():
     sagitta = 2.0 * (1 - np.cos(np.pi / 36))  # a facet's centre lies that far inside the circle
     for view in range(cir.n_view):
         assert cir.range_m[cir.rows(view)].min() == pytest.approx(4.0 + sagitta, rel=FLOAT32)
-    peaks = LocalMaxima().extract(compute_pdp(cir, PdpSettings(), (3.0, 9.0)))
+    peaks = LocalMaxima().peaks_of(compute_pdp(cir, PdpSettings(), (3.0, 9.0)))
     first = peaks.range_m[np.cumsum(peaks.row_size) - peaks.row_size]
     # A quarter of a sample of refinement error, and the echoes around the nearest point in the same cell, stay well
     # below half a range resolution of 5 cm.

@@ -230,7 +230,7 @@ BAD_IMAGES = {
     "snr": (["--snr", "loud"], "--snr loud: must be a number or 'none'"),
     "gate": (["--set", "pdp.gate_m=[20, 30]"], r"no path lies inside the range gate of 20.00 to 30.00 m.*m outside"),
     "grid too large": (["--set", "grid.spacing_m=1e-6"], "GiB are free; a spacing of"),
-    "no peak": (["--set", "peaks.threshold_sigma=1e9"], "no peak in any of 12 views.*threshold_sigma"),
+    "no peak": (["--set", "peaks.threshold_sigma=1e9"], "no peak in any of the 12 chosen views.*threshold_sigma"),
     "threshold": (["--set", "threshold.top_percent=0"], "top_percent = 0.*greater than 0"),
     "output kind": (["-o", "image.txt"], "must end in .nc"),
     "output folder": (["-o", "nowhere/image.nc"], "the folder nowhere does not exist"),

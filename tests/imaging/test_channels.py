@@ -17,6 +17,7 @@ from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
 from mvla_sim.imaging.pdp import compute_pdp, gate_for
 from mvla_sim.imaging.pipeline import observe, reconstruct
+from mvla_sim.imaging.view_selection import ViewSettings
 from mvla_sim.netcdf import write_netcdf
 from mvla_sim.scene.antennas.horn import Horn
 from mvla_sim.settings import parse
@@ -38,7 +39,8 @@ def swept(cir, **fields):
 
 def extracted(cir, settings):
     """The components that are found in a CIR."""
-    peaks = observe(cir, settings).front.peaks
+    chosen = settings.model_copy(update={"views": ViewSettings()})
+    peaks = observe(cir, chosen).peaks
     return Components(
         peaks.range_m, peaks.power, peaks.row_size, views=cir.views, carrier_hz=36e9, bandwidth_hz=cir.bandwidth_hz,
         extent_m=cir.extent_m, antenna=cir.antenna,

@@ -30,7 +30,7 @@ NAMES = ("carving", "rpm", "bp-coherent")
 
 
 def contour_points(seen):
-    chosen = seen.settings.chosen
+    chosen = seen.settings.model_extra["rpm"]
     return rpm.contour_points(seen, chosen.sigma_x_m, np.deg2rad(chosen.sigma_theta_deg))
 
 
@@ -94,18 +94,18 @@ def test_carving_needs_more_than_a_share_of_the_views():
     echoes = circle(views)
     echoes[0] = [(12.0, 1.0)]
     for share, kept in ((0.02, True), (0.0, False)):
-        seen = observed(echoes, views, **{"carving.share": share})
-        score = METHODS.find("carving")().image(seen).score
+        seen = observed(echoes, views)
+        score = METHODS.find("carving")(share=share).image(seen).score
         assert (score[at(seen, (1.5, 0.0, 0.0))] > 0) == kept
 
 
 def test_views_without_a_peak_carve_nothing():
     views = ring(8)
     echoes = [view if m == 0 else [] for m, view in enumerate(circle(views))]
-    seen = observed(echoes, views, **{"carving.share": 0.1})
+    seen = observed(echoes, views)
     assert first_echoes(seen.peaks)[0] == pytest.approx(8.5)
     assert np.isneginf(first_echoes(seen.peaks)[1:]).all()
-    score = METHODS.find("carving")().image(seen).score[0]
+    score = METHODS.find("carving")(share=0.1).image(seen).score[0]
     behind = seen.range_m(0)[0] - 8.5
     assert score[behind < -0.03] == pytest.approx(-1 / 8)
     assert (score[behind > -0.02] >= 0).all()

@@ -11,7 +11,7 @@ import pytest
 from sweep_files import SCENE, experiment, write
 
 from mvla_sim.errors import ConfigError
-from mvla_sim.imaging.pipeline import select_views
+from mvla_sim.imaging.view_selection import select_views
 from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.schedule import groups_of

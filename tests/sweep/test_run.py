@@ -134,7 +134,7 @@ def test_failing_cases_are_recorded_and_the_others_go_on(tmp_path):
     plan = expand(experiment(tmp_path, axes))
     result = run_plan(plan, tmp_path / "out", workers=1)
     assert list(result.table["status"]) == ["failed", "done", "done", "done"]
-    assert result.table["error"][0].startswith("DataError: no peak in any of 36 views")
+    assert result.table["error"][0].startswith("DataError: no peak in any of the 36 chosen views")
     assert "Traceback" not in result.table["error"][0]
     assert math.isnan(result.table["cd_db"][0])
     assert (result.count("failed"), result.count("missing")) == (1, 0)

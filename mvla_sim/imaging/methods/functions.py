@@ -22,7 +22,6 @@ import traceback
 import types
 from collections.abc import Callable
 from functools import lru_cache
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -33,7 +32,7 @@ from mvla_sim.errors import ConfigError, DataError, MvlaError, reason
 from mvla_sim.imaging.method import METHODS, Method
 from mvla_sim.imaging.observation import Estimate, Observation
 
-__all__ = ["FunctionMethod", "named", "names_a_file", "of_entry_point", "of_file"]
+__all__ = ["FunctionMethod", "named", "names_a_file", "of_file", "of_value"]
 
 Function = Callable[..., Any]
 
@@ -104,8 +103,8 @@ def names_a_file(name: str) -> bool:
     return _split(name) is not None
 
 
-def of_file(name: str) -> type[Method]:
-    """The method of a name like ``file.py:function``.
+def of_file(name: str) -> type[Method] | None:
+    """The method of a name like ``file.py:function``; None for a name of another kind.
 
     Raises
     ------
@@ -113,7 +112,8 @@ def of_file(name: str) -> type[Method]:
         The file cannot be read or imported, or lacks the function; one line.
     """
     parts = _split(name)
-    assert parts is not None
+    if parts is None:
+        return None
     file, function = parts
     try:
         stamp = file.stat()
@@ -122,23 +122,9 @@ def of_file(name: str) -> type[Method]:
     return _imported(name, file.resolve(), function, (stamp.st_mtime_ns, stamp.st_size))
 
 
-def of_entry_point(point: EntryPoint) -> type[Method]:
-    """The method behind an entry point, which is a class or a function.
-
-    Raises
-    ------
-    ConfigError
-        It cannot be imported, or is neither; one line.
-    """
-    try:
-        value = point.load()
-    except Exception as error:
-        raise ConfigError(f"method = '{point.name}': {point.value} cannot be imported ({reason(error)})") from error
-    if isinstance(value, type) and issubclass(value, Method):
-        return value
-    if not callable(value) or isinstance(value, type):
-        raise ConfigError(f"method = '{point.name}': {point.value} is {type(value).__name__}, not a function")
-    return _method(point.name, point.name, value, _digest(value))
+def of_value(name: str, value: Any) -> type[Method] | None:
+    """The method that an entry point offers as a function; None where it is none."""
+    return _method(name, name, value, _digest(value)) if callable(value) and not isinstance(value, type) else None
 
 
 def named(function: Function) -> str:
@@ -235,3 +221,7 @@ def _digest(function: Function) -> str:
     except (OSError, TypeError):
         return ""
     return hashlib.sha256(source).hexdigest()
+
+
+METHODS.resolvers.append(of_file)
+METHODS.adapters.append(of_value)
