@@ -157,7 +157,7 @@ class Kinds(Generic[K]):
             return typing.cast("type[K]", found)
         made = next((cls for adapt in self.adapters if (cls := adapt(point.name, found)) is not None), None)
         if made is None:
-            raise ConfigError(f"{self.what} '{point.name}': {point.value} is {type(found).__name__}, not a {self.what}")
+            raise ConfigError(f"{self.what} '{point.name}': {point.value} is no class of that kind")
         return made
 
     def model_of(self, value: Any) -> type[K] | None:

@@ -35,15 +35,15 @@ from mvla_sim.evaluation.metrics import score
 from mvla_sim.evaluation.tuning import optimal_thresholds
 from mvla_sim.imaging.detectors.local_maxima import LocalMaxima
 from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
+from mvla_sim.imaging.likelihood import kernel_scales, likelihood_profiles
 from mvla_sim.imaging.method import phase_free_methods
 from mvla_sim.imaging.methods.bp import backprojection_profiles
-from mvla_sim.imaging.mvla import kernel_scales, likelihood_profiles
 from mvla_sim.imaging.noise import Noise
 from mvla_sim.imaging.observation import FrontEnd, Observation
 from mvla_sim.imaging.pdp import Pdp, PdpSettings, compute_pdp
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import project
-from mvla_sim.imaging.threshold import joint_threshold
+from mvla_sim.imaging.thresholds import joint_threshold
 from mvla_sim.scene.world import Scene
 from mvla_sim.sweep.run import run_plan
 from mvla_sim.sweep.store import Store

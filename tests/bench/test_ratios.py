@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from mvla_sim.imaging.methods.registry import phase_free_methods
 
 import mvla_sim.bench.ratios as bench
 import mvla_sim.imaging.observation as user
@@ -19,6 +18,7 @@ from mvla_sim.bench.cost_tables import ratio_line
 from mvla_sim.bench.ratios import RATIOS, Ratio, measure_ratios, watched
 from mvla_sim.cli.app import run as mvla
 from mvla_sim.errors import ConfigError
+from mvla_sim.imaging.method import phase_free_methods
 from mvla_sim.imaging.projection import project
 from mvla_sim.sweep.run import run_plan
 from mvla_sim.sweep.store import Store

@@ -19,7 +19,7 @@ import typer
 from command_line import mvla
 
 from mvla_sim.cli.app import app, run
-from mvla_sim.imaging.imaging_settings import METHOD_NAMES
+from mvla_sim.imaging.method import METHODS
 
 SCENE = """
 name = "small"
@@ -92,7 +92,7 @@ def test_version_and_help_leave_nothing_behind(tmp_path):
 def test_help_names_every_method(capsys):
     run(["image", "--help"])
     text = re.sub(r"\W+", "", capsys.readouterr().out)
-    assert [name for name in METHOD_NAMES if name.replace("-", "") not in text] == []
+    assert [name for name in METHODS.names() if name.replace("-", "") not in text] == []
 
 
 def test_help_imports_nothing_heavy(tmp_path):

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import mvla_sim as mv
-from mvla_sim.imaging.imaging_settings import METHOD_NAMES
+from mvla_sim.imaging.method import METHODS
 
 HERE = Path(__file__).parent
 sys.path.append(str(HERE.parent / "imaging"))
@@ -60,7 +60,7 @@ def images():
     """(case, method) and its image, or the error that says why there is none."""
     cir = made()
     for case, settings in CASES.items():
-        for method in METHOD_NAMES:
+        for method in METHODS.names():
             own = dict(item.split("=", 1) for item in settings)
             named = {key: json.loads(own.pop(key)) for key in SHORT if key in own}
             if method == "bp-coherent" and "noise.kind" not in own:

@@ -9,10 +9,10 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from mvla_sim.imaging.methods.registry import title_of
 from plot_data import PEAKS, PROFILES, VIEWS, curve_table, make_grid, make_image, make_masks, square_scene
 
 from mvla_sim.errors import DataError
+from mvla_sim.imaging.method import title_of
 from mvla_sim.plot.curves import plot_curves
 from mvla_sim.plot.image_figures import plot_comparison, plot_image, plot_measured, score_caption
 from mvla_sim.plot.scene_figures import plot_scene
