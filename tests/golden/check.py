@@ -18,6 +18,7 @@ import numpy as np
 import mvla_sim as mv
 from mvla_sim.imaging.method import METHODS
 
+OWN_METHODS = [method.name for method in METHODS.own()]
 HERE = Path(__file__).parent
 sys.path.append(str(HERE.parent / "imaging"))
 from cases import channel, ring  # noqa: E402 - beside this folder
@@ -60,7 +61,7 @@ def images():
     """(case, method) and its image, or the error that says why there is none."""
     cir = made()
     for case, settings in CASES.items():
-        for method in METHODS.names():
+        for method in OWN_METHODS:
             own = dict(item.split("=", 1) for item in settings)
             named = {key: json.loads(own.pop(key)) for key in SHORT if key in own}
             if method == "bp-coherent" and "noise.kind" not in own:

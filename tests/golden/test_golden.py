@@ -36,7 +36,7 @@ def test_the_same_images_are_stored(stored, found):
 
 @pytest.mark.parametrize("case", check.CASES)
 def test_images_are_those_stored(case, stored, found):
-    for method in check.METHODS.names():
+    for method in check.OWN_METHODS:
         name = f"{case}: {method}"
         expected, image = stored[name], found[name]
         if expected is None:
