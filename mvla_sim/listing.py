@@ -93,8 +93,6 @@ Row = tuple[str, str, str]
 
 def _rows(model: type[BaseModel], path: str, above: tuple[type[BaseModel], ...]) -> Iterator[Row]:
     """Settings of a class, and of all inside it; those of another group are named, not repeated."""
-    for name, method in getattr(model, "extra_models", dict)().items():
-        yield from _rows(method, f"{path}{name}.", (*above, method))
     for name, field in model.model_fields.items():
         key = f"{path}{field.alias or name}"
         shape = _shape(field.annotation, tuple(field.metadata))
@@ -111,6 +109,8 @@ def _rows(model: type[BaseModel], path: str, above: tuple[type[BaseModel], ...])
             yield from _rows(inner[0], inside, (*above, inner[0]))
         elif inner:
             yield from _kinds(inner, shape.tag, field, inside, above)
+    for name, block in getattr(model, "extra_models", dict)().items():
+        yield from _rows(block, f"{path}{name}.", (*above, block))
 
 
 def _kinds(

@@ -21,6 +21,10 @@ def keys(group):
     return {entry.key for entry in ALL if entry.group == group}
 
 
+def meaning_of(key):
+    return next(entry.meaning for entry in ALL if entry.key == key)
+
+
 def test_what_was_left_out_is_listed():
     assert {"plane_height_m", "objects.0.radius_m", "trajectory.kind", "trajectory.radius_m", "trajectory.axis_m",
             "radio.antenna.floor_db", "ray_tracing.diffuse_rays"} <= keys("scene")  # fmt: skip
@@ -29,6 +33,13 @@ def test_what_was_left_out_is_listed():
     assert {"families.0.size_m", "trajectory.span_deg", "samples_per_shard"} <= keys("campaign")
     assert {"method", "peaks.threshold_sigma", "carving.margin", "noise.snr_db"} <= keys("imaging")
     assert {entry.group for entry in ALL} == set(GROUPS)
+
+
+def test_every_setting_says_what_it_means():
+    """A field without a description is a row that says nothing, or of which kinds it is alone."""
+    names = r"[\w-]+(, [\w-]+)*"
+    mute = [entry.key for entry in ALL if re.fullmatch(rf"(({names})?(: )?(or a distribution)?)", entry.meaning)]
+    assert [key for key in mute if not key.endswith((".kind", ".rule"))] == []
 
 
 def test_a_filter_takes_groups_and_parts_of_keys():
@@ -50,10 +61,12 @@ def test_defaults_are_toml():
 
 @pytest.mark.parametrize("group", ["imaging", "evaluation"])
 def test_each_default_is_accepted_under_its_key(group):
+    tags = {key.rpartition(".")[0]: key for key in keys(group) if key.endswith((".kind", ".rule"))}
     for entry in list_settings(group):
         if entry.default not in ("", '"none"'):
-            data = apply_overrides({}, [f"{entry.key}={entry.default}"])
-            parse(GROUPS[group], data, entry.key)
+            kind, tag = re.match(r"[\w-]+", entry.meaning), tags.get(entry.key.rpartition(".")[0])
+            own = [f"{tag}={kind[0]}"] if tag and ": " in entry.meaning and kind[0] in meaning_of(tag) else []
+            parse(GROUPS[group], apply_overrides({}, [*own, f"{entry.key}={entry.default}"]), entry.key)
 
 
 @pytest.mark.parametrize("columns", [60, 200])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,9 +21,10 @@ image_app = typer.Typer()
 
 
 def _methods() -> str:
-    """Names of this package's methods, from those of their modules: importing them would make help slow."""
-    folder = Path(mvla_sim.__file__).parent / "imaging" / "methods"
-    return ", ".join(sorted(file.stem.replace("_", "-") for file in folder.glob("[a-z]*.py")))
+    """Names of this package's methods, from the text of their modules: importing them would make help slow."""
+    files = sorted((Path(mvla_sim.__file__).parent / "imaging" / "methods").glob("*.py"))
+    found = [re.search(r'^    name: ClassVar\[str\] = "(.+)"$', file.read_text("utf-8"), re.M) for file in files]
+    return ", ".join(match[1] for match in found if match is not None)
 
 
 @image_app.command()

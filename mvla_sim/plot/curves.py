@@ -170,7 +170,7 @@ def _group_label(value: Any, pattern: str) -> str:
         return "none"
     if isinstance(value, float):
         value = f"{value:g}".replace("-", "\N{MINUS SIGN}")
-    return pattern.format(title_of(value))
+    return pattern.format(title_of(value) if isinstance(value, str) else value)
 
 
 def _gaps(values: pd.Series[Any]) -> NDArray[np.float64]:

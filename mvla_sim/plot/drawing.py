@@ -18,10 +18,10 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from mvla_sim.errors import DataError
+from mvla_sim.errors import DataError, MvlaError
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
-from mvla_sim.imaging.method import title_of
+from mvla_sim.imaging.method import METHODS, Method, title_of
 from mvla_sim.plot.style import COLORS, MAPS, Given, new_figure
 from mvla_sim.scene.views import Views
 
@@ -170,8 +170,12 @@ def color_bar(axes: Axes, mappable: AxesImage, label: str, *, below: bool, cut_o
 
 
 def score_label(image: Image) -> str:
-    """What a score's axis is called."""
-    return f"score of {title_of(image.method)}"
+    """What a score's axis is called: in the method's own words, and by its title where it has none."""
+    try:
+        label = METHODS.find(image.method).score_label
+    except MvlaError:  # of a method that is not to be found here
+        label = Method.score_label
+    return f"score of {title_of(image.method)}" if label == Method.score_label else label
 
 
 def draw_score(axes: Axes, image: Image, layer: int, *, bar_below: bool, inset: bool = True) -> None:

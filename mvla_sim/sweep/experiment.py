@@ -68,7 +68,11 @@ class CalibrationSettings(Settings):
     """
 
     source: Name = Field(alias="from", description="name of the other experiment's folder, beside this one's")
-    over: Annotated[tuple[str, ...], Field(min_length=1)] = ("interval_deg", "offset", "seed")
+    over: Annotated[tuple[str, ...], Field(min_length=1, description="axes that thresholds are averaged over")] = (
+        "interval_deg",
+        "offset",
+        "seed",
+    )
     rule: Literal["averages", "least-mean"] = Field(
         "averages", description="'least-mean' needs evaluation.threshold_map = true in the other experiment"
     )
@@ -94,7 +98,7 @@ class CalibrationSettings(Settings):
 class VariantSettings(Settings):
     """One departure from an experiment's settings, for sensitivity studies: a label and the settings that change."""
 
-    label: Annotated[str, Field(min_length=1)]
+    label: Annotated[str, Field(min_length=1, description="name of the variant in the table")]
     set: dict[str, AxisValue] = Field(default_factory=dict, description="dotted key or short name: value")
 
     @field_validator("set")
@@ -114,15 +118,17 @@ class ExperimentSettings(Settings):
     ``offset = "all"`` stands for every offset of a case's interval. With variants, the whole product is run for each.
     """
 
-    name: Name
-    description: str = ""
+    name: Name = Field(description="of the results' folder")
+    description: str = Field("", description="for readers of the file")
     scenes: tuple[str, ...] = Field((), description="scene files, which are traced")
     channels: tuple[str, ...] = Field((), description="channel files, as of mvla import")
     truth: str | None = Field(None, description="scene file whose outline is the truth of channels that carry none")
     imaging: ImagingSettings = ImagingSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     calibration: CalibrationSettings | None = Field(None, description="thresholds from another experiment's table")
-    axes: dict[str, tuple[AxisValue, ...]] = Field(default_factory=dict)
+    axes: dict[str, tuple[AxisValue, ...]] = Field(
+        default_factory=dict, description="lists of values by dotted key or short name; cases are their product"
+    )
     variants: tuple[VariantSettings, ...] = Field((), description="or the name of a TOML file that lists them")
     show: tuple[dict[str, AxisValue], ...] = Field((), description="cases of which pictures are drawn, by axis value")
 
