@@ -10,8 +10,8 @@ from pathlib import Path
 from mvla_sim.cli.app import run
 
 
-def mvla(*arguments, folder, code=0):
-    """Run ``mvla`` in a folder; return what it printed, of an error its one line."""
+def mvla(*arguments, folder=".", code=0, notes=False):
+    """Run ``mvla`` in a folder; return what it printed, with ``notes`` those as well, and of an error its one line."""
     printed, errors = io.StringIO(), io.StringIO()
     before = Path.cwd()
     os.chdir(folder)
@@ -26,4 +26,4 @@ def mvla(*arguments, folder, code=0):
     if code == 2:
         assert len(text.strip().splitlines()) == 1, text
         assert text.startswith("mvla: error: ")
-    return printed.getvalue() if code == 0 else text
+    return printed.getvalue() + text if notes else printed.getvalue() if code == 0 else text
