@@ -99,7 +99,7 @@ def test_every_way_is_explained_and_has_its_experiment():
     assert len({one.axes["method"] for one in settings.values()}) == 1  # all compare the same methods
     assert set(settings["oracle"].axes["method"]) == set(phase_free_methods())
     assert settings["oracle"].evaluation.threshold_map
-    assert settings["automatic"].evaluation.threshold == "auto"
+    assert settings["automatic"].evaluation.threshold.rule == "auto"
     for way in ("held out: averages", "held out: least mean"):
         assert "star" not in settings[way].calibration.scenes
 
