@@ -124,8 +124,8 @@ def write_netcdf(dataset: xr.Dataset, path: str | os.PathLike[str], packed: Iter
     """
     encoding = {name: PACKED for name in packed if dataset[name].size}
     content = dataset.to_netcdf(engine="h5netcdf", encoding=encoding)  # in memory: HDF5 crashes where a disk is full
-    with atomic_output(path) as temporary:
-        temporary.write_bytes(content)
+    with atomic_output(path) as temporary, temporary.open("wb") as file:
+        file.write(content)  # Path.write_bytes keeps a view of it in an error, and then it cannot be freed
 
 
 def open_netcdf(path: str | os.PathLike[str], schema: str, version: int, variables: Iterable[str]) -> xr.Dataset:
