@@ -206,6 +206,7 @@ def import_channel(settings: ImportSettings) -> Channel:
     """
     kind = settings.kind or source_kind(settings.source)
     found = settings.reader(kind).read(Path(settings.source), GivenRadio(settings.carrier_hz, settings.bandwidth_hz))
+    settings.antenna.pattern()  # read now: the channel holds it, though its file may go
     radio = {} if found.kind is FrequencyResponse else _radio(settings, found.carrier_hz)
     config = settings.model_dump(mode="json")
     _rename_files(config, lambda name: Path(name).name)  # names alone, never where files lay

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +17,9 @@ from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.settings import Settings
 
 __all__ = [
-    "BackgroundSettings",
-    "Gate",
-    "ReferenceCalibration",
-    "ReferenceSettings",
-    "Subtraction",
-    "calibrate",
-    "echo_gain",
-    "find_peak",
-    "range_profile",
-    "subtract_background",
-]
+    "BackgroundSettings", "Gate", "ReferenceCalibration", "ReferenceSettings", "Subtraction", "calibrate", "echo_gain",
+    "find_peak", "range_profile", "subtract_background",
+]  # fmt: skip
 
 OVERSAMPLING: Final = 4
 """Samples of a profile per 1/(K·Δf); Hann's main lobe is four such cells wide, so no peak falls between samples."""
@@ -83,7 +76,8 @@ class ReferenceSettings(Settings):
         return self
 
 
-class Subtraction(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Subtraction:
     """Sweeps without their background.
 
     Attributes
@@ -98,7 +92,8 @@ class Subtraction(NamedTuple):
     residual_db: NDArray[np.float64]
 
 
-class ReferenceCalibration(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ReferenceCalibration:
     """Sweeps whose levels are path gains and whose delays start at the antennas.
 
     Attributes

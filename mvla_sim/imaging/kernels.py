@@ -25,7 +25,7 @@ __all__ = ["BACKEND", "BeamTables", "DeviceTables", "project_block"]
 _NO_GAP = 360.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BeamTables:
     """Device arrays of the sector that a view's antennas cover.
 
@@ -51,7 +51,7 @@ class BeamTables:
     edge_db: Any
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DeviceTables:
     """Device arrays of one projection.
 

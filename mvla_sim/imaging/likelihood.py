@@ -128,9 +128,8 @@ def _axis(span_m: tuple[float, float], step: float, n_view: int) -> tuple[float,
 def nearest_peak(peaks: Peaks, start: float, step: float, count: int) -> NDArray[np.float32]:
     """Range of the peak nearest to the middle of each node and the next, ``[n_view, count]`` m; far where none is."""
     nearest = np.full((peaks.n_view, count), _FAR_M, np.float32)
-    stop = np.cumsum(peaks.row_size)
     for view in np.flatnonzero(peaks.row_size):
-        ranges = peaks.range_m[stop[view] - peaks.row_size[view] : stop[view]]
+        ranges = peaks.range_m[peaks.rows(int(view))]
         between = np.ceil(((ranges[:-1] + ranges[1:]) / 2 - start) / step - 0.5)
         edges = np.concatenate([[0], np.clip(between, 0, count), [count]]).astype(np.intp)
         nearest[view] = np.repeat(ranges, np.diff(edges))

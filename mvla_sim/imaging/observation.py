@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["Estimate", "FrontEnd", "Observation"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FrontEnd:
     """What every method starts from, for all views of a file.
 
@@ -39,13 +39,16 @@ class FrontEnd:
     peaks: Peaks
     resolution_m: float
 
+    def __repr__(self) -> str:
+        return f"FrontEnd({self.pdp!r}, {self.peaks!r}, ΔR = {self.resolution_m:g} m)"
+
     def select(self, indices: NDArray[np.intp]) -> FrontEnd:
         """Return the given views, in the given order."""
         pdp = None if self.pdp is None else self.pdp.select(indices)
         return FrontEnd(pdp, self.peaks.select(indices), self.resolution_m)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Estimate:
     """What a method returns.
 
@@ -59,6 +62,10 @@ class Estimate:
 
     score: NDArray[np.float32]
     support_deg: NDArray[np.float32] | None = None
+
+    def __repr__(self) -> str:
+        support = "" if self.support_deg is None else ", with angular support"
+        return f"Estimate({' × '.join(map(str, self.score.shape[::-1]))} voxels{support})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

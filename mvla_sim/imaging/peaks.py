@@ -12,6 +12,7 @@ from pydantic import Field, PositiveFloat
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.kinds import Kind, Kinds
+from mvla_sim.ragged import Ragged
 
 __all__ = ["DETECTORS", "PeakDetector", "Peaks"]
 
@@ -22,7 +23,7 @@ DETECTORS: Final[Kinds[PeakDetector]] = Kinds(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Peaks:
+class Peaks(Ragged):
     """Detected components of M views, view after view, by increasing range within a view.
 
     Attributes
@@ -63,7 +64,7 @@ class Peaks:
     @property
     def view(self) -> NDArray[np.int64]:
         """Index of each peak's view, ``[n_peak]``."""
-        return np.repeat(np.arange(self.n_view), self.row_size)
+        return self.row_index
 
     @property
     def weight(self) -> NDArray[np.float64]:
@@ -73,9 +74,7 @@ class Peaks:
 
     def select(self, indices: NDArray[np.intp]) -> Peaks:
         """Return the given views, in the given order."""
-        start = np.concatenate([[0], np.cumsum(self.row_size)])
-        rows = [np.arange(start[i], start[i + 1]) for i in indices]
-        taken = np.concatenate(rows) if rows else np.zeros(0, np.intp)
+        taken = self.elements(indices)
         return Peaks(self.range_m[taken], self.power[taken], self.row_size[indices])
 
 

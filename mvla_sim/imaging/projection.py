@@ -71,7 +71,7 @@ class RangeProfiles:
         return replace(self, values=self.values[indices], nearest_m=nearest)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Projection:
     """Result of :func:`project`.
 
@@ -88,6 +88,9 @@ class Projection:
     total: NDArray[np.float32]
     support_deg: NDArray[np.float32] | None
     coverage: NDArray[np.float32] | None = None
+
+    def __repr__(self) -> str:
+        return f"Projection({' × '.join(map(str, self.total.shape[::-1]))} voxels)"
 
 
 def check_grid(grid: VoxelGrid) -> None:

@@ -153,19 +153,20 @@ def test_aligned_subtraction_without_noise():
     the target is 40 dB below the leakage.
     """
     sweeps, background, target, _ = leaking(np.random.default_rng(0))
-    aligned, residual = subtract_background(sweeps, background, START, STEP, (0.2, 0.7))
+    found = subtract_background(sweeps, background, START, STEP, (0.2, 0.7))
+    aligned, residual = found.response, found.residual_db
     assert abs(aligned - target).max() < 1e-6 * abs(target).max()
     assert (residual < -120).all()
     assert abs(aligned - target).max() < 1e-7 * POST
 
-    as_they_are, none = subtract_background(sweeps, background, START, STEP)
-    assert np.isnan(none).all()
-    assert db(abs(as_they_are - target).max() / POST) > 0  # random phases: nothing is gained
+    as_they_are = subtract_background(sweeps, background, START, STEP)
+    assert np.isnan(as_they_are.residual_db).all()
+    assert db(abs(as_they_are.response - target).max() / POST) > 0  # random phases: nothing is gained
 
 
 def test_coherent_sweeps_need_no_gate():
     sweeps, background, target, _ = leaking(np.random.default_rng(1), phases=False)
-    np.testing.assert_allclose(subtract_background(sweeps, background, START, STEP)[0], target, atol=1e-17)
+    np.testing.assert_allclose(subtract_background(sweeps, background, START, STEP).response, target, atol=1e-17)
 
 
 def test_aligned_subtraction_under_noise():
@@ -178,7 +179,8 @@ def test_aligned_subtraction_under_noise():
     rng = np.random.default_rng(2)
     sigma = 1e-3
     sweeps, background, target, turn = leaking(rng, views=24, sigma=sigma)
-    aligned, residual = subtract_background(sweeps, background, START, STEP, (0.2, 0.7))
+    less = subtract_background(sweeps, background, START, STEP, (0.2, 0.7))
+    aligned = less.response
     spread = 4 * np.sqrt(2) * sigma * np.sqrt(1.5 / COUNT)
     step_m = range_profile(sweeps[0], START, STEP)[1]
     beside = slice(round(8.6 / step_m), round(9.6 / step_m))
@@ -187,7 +189,7 @@ def test_aligned_subtraction_under_noise():
     for view in range(24):
         now, clean = (range_profile(h, START, STEP)[0][beside] for h in (aligned[view], target[view]))
         assert abs(now - clean).max() < spread
-    assert residual.mean() == pytest.approx(-33, abs=1)
+    assert less.residual_db.mean() == pytest.approx(-33, abs=1)
 
 
 def test_cables_move_the_gate():
@@ -195,7 +197,7 @@ def test_cables_move_the_gate():
     sweeps, background, target, _ = leaking(np.random.default_rng(3))
     cable = np.exp(-2j * np.pi * FREQUENCY * 20e-9)
     shift = delay_to_range(20e-9)
-    aligned = subtract_background(sweeps * cable, background * cable, START, STEP, (shift + 0.2, shift + 0.7))[0]
+    aligned = subtract_background(sweeps * cable, background * cable, START, STEP, (shift + 0.2, shift + 0.7)).response
     assert abs(aligned - target * cable).max() < 1e-6 * abs(target).max()
 
 
@@ -230,10 +232,10 @@ def test_cable_delay_and_gain_are_taken_out(cable_s, gain_db, seed, plate):
     sphere = (echo(5.0, level) + noise(rng, level * 10**-1.5, COUNT)) * chain * phase[0]
     target = echo(7.7, 1e-4)
     views = np.stack([target * chain * phase[1]] * 2)
-    response, delay, gain = calibrate(views, sphere, chosen, START, STEP)
-    assert delay_to_range(delay - cable_s) == pytest.approx(0, abs=1e-3)
-    assert 20 * np.log10(gain) == pytest.approx(-gain_db, abs=0.1)
-    where, amplitude = find_peak(response[1], START, STEP)
+    found = calibrate(views, sphere, chosen, START, STEP)
+    assert delay_to_range(found.delay_offset_s - cable_s) == pytest.approx(0, abs=1e-3)
+    assert 20 * np.log10(found.gain_correction) == pytest.approx(-gain_db, abs=0.1)
+    where, amplitude = find_peak(found.response[1], START, STEP)
     assert delay_to_range(where) == pytest.approx(7.7, abs=1e-3)
     assert db(amplitude) == pytest.approx(-80, abs=0.1)
 
@@ -242,10 +244,10 @@ def test_without_noise_the_calibration_is_exact():
     chain = 3.0 * np.exp(-2j * np.pi * FREQUENCY * 17.3e-9)
     level = echo_gain("sphere", 5.0, 0.15, CARRIER)
     target = np.stack([echo(7.7, 1e-4), echo(8.8, 1e-5j)])
-    response, delay, gain = calibrate(target * chain, echo(5.0, level) * chain, reference(), START, STEP)
-    assert delay_to_range(delay - 17.3e-9) == pytest.approx(0, abs=1e-6)
-    assert gain == pytest.approx(1 / 3, rel=1e-8)
-    np.testing.assert_allclose(abs(response), abs(target), rtol=1e-8)
+    found = calibrate(target * chain, echo(5.0, level) * chain, reference(), START, STEP)
+    assert delay_to_range(found.delay_offset_s - 17.3e-9) == pytest.approx(0, abs=1e-6)
+    assert found.gain_correction == pytest.approx(1 / 3, rel=1e-8)
+    np.testing.assert_allclose(abs(found.response), abs(target), rtol=1e-8)
 
 
 def test_a_gate_chooses_among_echoes():

@@ -253,16 +253,18 @@ def test_a_campaign_leads_back_to_the_channel(tmp_path, seed):
             file=str(tmp_path / "reference.s2p"), kind="sphere", range_m=4.0, radius_m=0.15, gate_m=(7.0, 8.0)
         ),
     )
-    files, angles, start, step, response = read_folder(sweeps, tmp_path)
-    np.testing.assert_allclose(angles, cir.views.angles_deg)
-    assert len(files) == 5
+    swept = read_folder(sweeps, tmp_path)
+    start, step, response = swept.start_hz, swept.step_hz, swept.response
+    np.testing.assert_allclose(swept.angles_deg, cir.views.angles_deg)
+    assert len(swept.files) == 5
     background = read_touchstone(sweeps.background.file).response
     gate = sweeps.background.align_m
-    echoes, residual = subtract_background(response, background, start, step, gate)
+    echoes = subtract_background(response, background, start, step, gate)
     sphere = subtract_background(read_touchstone(sweeps.reference.file).response[None], background, start, step, gate)
-    result, delay, gain = calibrate(echoes, sphere.response[0], sweeps.reference, start, step)
-    assert (residual < -40).all()
-    assert delay_to_range(delay - 23e-9) == pytest.approx(0, abs=1e-3)
+    scaled = calibrate(echoes.response, sphere.response[0], sweeps.reference, start, step)
+    result, gain = scaled.response, scaled.gain_correction
+    assert (echoes.residual_db < -40).all()
+    assert delay_to_range(scaled.delay_offset_s - 23e-9) == pytest.approx(0, abs=1e-3)
     assert 20 * np.log10(gain) == pytest.approx(-17, abs=0.1)
     for view in range(5):
         where, amplitude = find_peak(result[view], start, step)

@@ -11,6 +11,8 @@ from cases import PAPER_METHODS, channel, make_peaks, per_view, random_peaks, ri
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from mvla_sim.channel.cir import Cir
+from mvla_sim.channel.importing import import_channel, import_settings
 from mvla_sim.errors import ConfigError
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import BeamSettings, build_beam
@@ -305,6 +307,26 @@ def test_no_edge_and_no_pattern_are_no_beam():
     assert build_beam(Omni(), BeamSettings()) is None
     assert build_beam(GAUSSIAN, BeamSettings(edge_db=None)) is None
     assert build_beam(GAUSSIAN, BeamSettings()).edge_db == -3
+
+
+def test_a_channel_is_imaged_after_its_pattern_file_was_deleted(tmp_path):
+    """A pattern is read once; what held it holds it, and a channel's file carries it."""
+    csv = tmp_path / "pattern.csv"
+    csv.write_text("angle_deg,azimuth_db\n-90,-30\n-7.2,-3\n0,0\n8,-3.5\n90,-30\n")
+    chosen = imaging_settings(method="bp", **{"grid.size_m": [4.0, 4.0, 0.0]})
+    cir = scatterers([[1.0, 0.5, 0.0]], ring(24), antenna=PatternFile(file=str(csv)))
+    before = reconstruct(cir, chosen).score
+    cir.save(tmp_path / "cir.nc")
+    response = tmp_path / "r.npz"
+    arrays = {"response": np.ones((24, 300), complex), "frequency": 36e9 + 6e6 * np.arange(300)}
+    np.savez(response, **arrays, a=15.0 * np.arange(24))
+    data = {"arrays": {"angles": "a"}, "geometry": {"radius_m": 10.0}, "antenna": {"kind": "file", "file": str(csv)}}
+    imported = import_channel(import_settings(response, data=data))
+    csv.unlink()
+    np.testing.assert_array_equal(reconstruct(cir, chosen).score, before)
+    loaded = reconstruct(Cir.load(tmp_path / "cir.nc"), chosen).score
+    assert np.isclose(loaded, before, atol=1e-5).mean() > 0.99  # files keep 0.001 dB: edges of beams move by as little
+    assert reconstruct(imported, chosen).n_view == 24
 
 
 @pytest.mark.parametrize("method", PAPER_METHODS)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import fnmatch
 import logging
 import os
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,9 +60,9 @@ class TouchstoneFolder(Reader):
         if not source.is_dir():
             raise DataError(f"{source}: no such folder of Touchstone files")
         swept = read_folder(self, source)
-        files, angles, start, step, response = swept
+        files, response, start, step = swept.files, swept.response, swept.start_hz, swept.step_hz
         facts = {"files": f"{files[0].name} to {files[-1].name}"}
-        if lacking := missing_angles(angles):
+        if lacking := missing_angles(swept.angles_deg):
             shown = ", ".join(f"{angle:g}" for angle in lacking[:8])
             logging.getLogger("mvla_sim").warning(
                 "mvla: note: %s: no file for %d of the evenly spaced angles: %s°", source, len(lacking), shown
@@ -69,8 +70,9 @@ class TouchstoneFolder(Reader):
         background = None
         if self.background is not None:
             background = self._like(swept, self.background.file)
-            response, residual = subtract_background(response, background, start, step, self.background.align_m)
-            facts["background"] = f"{Path(self.background.file).name}, residual {np.median(residual):.1f} dB"
+            less = subtract_background(response, background, start, step, self.background.align_m)
+            response = less.response
+            facts["background"] = f"{Path(self.background.file).name}, residual {np.median(less.residual_db):.1f} dB"
         if self.reference is not None:
             echo = self._like(swept, self.reference.file)
             empty = (
@@ -78,11 +80,12 @@ class TouchstoneFolder(Reader):
             )
             if empty is not None:
                 align = self.background.align_m if self.background is not None else None
-                echo = subtract_background(echo[None], empty, start, step, align)[0][0]
-            response, delay, gain = calibrate(response, echo, self.reference, start, step)
-            facts["calibration"] = f"{delay * 1e9:.4f} ns and {20 * np.log10(gain):.2f} dB by {self.reference.kind}"
+                echo = subtract_background(echo[None], empty, start, step, align).response[0]
+            scaled = calibrate(response, echo, self.reference, start, step)
+            response, gain_db = scaled.response, 20 * np.log10(scaled.gain_correction)
+            facts["calibration"] = f"{scaled.delay_offset_s * 1e9:.4f} ns and {gain_db:.2f} dB by {self.reference.kind}"
         data = {"response": response, "start_hz": start, "step_hz": step}
-        return Foreign(FrequencyResponse, data, len(files), angles_deg=angles, facts=facts)
+        return Foreign(FrequencyResponse, data, len(files), angles_deg=swept.angles_deg, facts=facts)
 
     def _like(self, views: FolderSweeps, file: str) -> NDArray[np.complex128]:
         """Another sweep, which must have the views' axis."""
@@ -97,7 +100,8 @@ class TouchstoneFolder(Reader):
         return other.response
 
 
-class FolderSweeps(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class FolderSweeps:
     """The sweeps of a folder, by rising angle.
 
     Attributes

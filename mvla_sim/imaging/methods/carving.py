@@ -37,7 +37,7 @@ def first_echoes(peaks: Peaks) -> NDArray[np.float64]:
     """R_m, the range of each view's nearest peak, ``[n_view]`` metres; −∞ for a view that has none."""
     first = np.full(peaks.n_view, -np.inf)
     found = np.flatnonzero(peaks.row_size)
-    first[found] = peaks.range_m[np.cumsum(peaks.row_size)[found] - peaks.row_size[found]]
+    first[found] = peaks.range_m[peaks.row_start[found]]
     return first
 
 

@@ -52,7 +52,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ContourPoints:
     """Contour points of a target.
 
@@ -68,7 +68,7 @@ class ContourPoints:
     agreement: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _RangePoints:
     """Range points, view after view: circles in the layer; one entry a point, of ``center`` a row."""
 
@@ -78,7 +78,7 @@ class _RangePoints:
     view: Indices
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Crossings:
     """Where circles of neighbours cross those of one view: index of its range point, direction, weight; ``[n]``."""
 

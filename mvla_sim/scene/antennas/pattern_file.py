@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -24,7 +25,11 @@ class PatternFile(Antenna):
     gain_dbi: PeakGain = None
 
     def pattern(self) -> AntennaPattern:
-        """Pattern of the file; nothing of it is kept, so an edited file counts."""
+        """Pattern of the file, which is read once: a channel keeps it though the file is edited or gone."""
+        return self._read
+
+    @cached_property
+    def _read(self) -> AntennaPattern:
         return AntennaPattern.from_cuts(*_read_cuts(self.file), self.gain_dbi)
 
     def self_contained(self) -> PatternCuts:
