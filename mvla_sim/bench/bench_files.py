@@ -34,10 +34,8 @@ def write_bench(
     OutputError
         One cannot be written.
     """
-    table = frame(rows)
-    machine = {"cpu": cpu_name(), "cores": core_count(), "quick": quick}
     record: dict[str, Any] = {
-        "machine": machine,
+        "machine": {"cpu": cpu_name(), "cores": core_count(), "quick": quick},
         "provenance": provenance(),
         "points": [
             {
@@ -56,7 +54,7 @@ def write_bench(
     }
     contents = {
         "bench.json": json.dumps(record, indent=1, sort_keys=True) + "\n",
-        "bench.csv": table.to_csv(index=False),
+        "bench.csv": frame(rows).to_csv(index=False),
         "bench.md": _page(rows, costs, found, quick=quick),
     }
     for name, content in contents.items():

@@ -6,11 +6,11 @@ import contextlib
 import importlib
 import json
 import os
+import pkgutil
 import statistics
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -46,10 +46,10 @@ def perform(order: dict[str, Any]) -> dict[str, Any]:
     """Carry out an order, the fields of :class:`~mvla_sim.bench.measure.Work`; returns those of ``Measured``."""
     if order["cores"] is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: order["cores"]])
-    make = _target(order["target"])
+    make = pkgutil.resolve_name(order["target"])
     _load(order["engine"])
     loaded = _reset_peak()
-    with _closing(make(**order["params"])) as job:
+    with contextlib.closing(make(**order["params"])) as job:
         calls = [_timed(job, number) for number in range(order["warmups"])]
         compiling = memory_of().peak
         _reset_peak()
@@ -96,11 +96,6 @@ def _end_with(parent: int) -> None:
     os._exit(1)
 
 
-def _target(name: str) -> Any:
-    module, _, function = name.partition(":")
-    return getattr(importlib.import_module(module), function)
-
-
 def _load(engine: str) -> None:
     """Load what the work computes with, on one thread."""
     from mvla_sim.engine import backend  # noqa: PLC0415 - only where something is measured
@@ -117,8 +112,7 @@ def _reset_peak() -> float:
     """Start the peak anew from the memory in use, bytes; where the system has no such thing, from the peak so far."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-    memory = memory_of()
-    return memory.peak
+    return memory_of().peak
 
 
 def _timed(job: Job, number: int) -> tuple[float, float]:
@@ -126,14 +120,6 @@ def _timed(job: Job, number: int) -> tuple[float, float]:
     worked, began = job.core_s(), time.perf_counter()
     job.call(number)
     return time.perf_counter() - began, job.core_s() - worked
-
-
-@contextlib.contextmanager
-def _closing(job: Job) -> Iterator[Job]:
-    try:
-        yield job
-    finally:
-        job.close()
 
 
 if __name__ == "__main__":

@@ -21,22 +21,12 @@ HEADER = ("first", "median", "of a core", "rate", "memory", "steady")
 
 @dataclass(frozen=True)
 class AxisTable:
-    """One series along one axis, as text.
-
-    Attributes
-    ----------
-    title
-        Stage, series and axis.
-    header, lines
-        Names of the columns, and their cells.
-    law
-        How cost grows along the axis; empty where there are fewer than two sizes.
-    """
+    """One series along one axis, as text."""
 
     title: str
     header: tuple[str, ...]
     lines: tuple[tuple[str, ...], ...]
-    law: str
+    law: str  # how cost grows along the axis; empty where there are fewer than two sizes
 
 
 def frame(rows: Sequence[TimedPoint]) -> pd.DataFrame:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from mvla_sim.bench.fit import Affine, PowerLaw, fit_affine, fit_power_law
@@ -20,16 +20,9 @@ SWEEP_VOXELS: Final = 40_000
 
 @dataclass(frozen=True)
 class CostScenario:
-    """What is to be computed, and on what.
+    """What is to be computed, and on what: scenes, each traced and imaged once, and cores of each node.
 
-    Attributes
-    ----------
-    scenes, views
-        Scenes, each traced from so many views and imaged once.
-    nodes, cores
-        Nodes, and cores of each; every core runs one single-threaded worker.
-    voxels
-        Voxels of an image.
+    Every core runs one single-threaded worker.
     """
 
     scenes: int = 1_000_000
@@ -47,69 +40,32 @@ class CostScenario:
 
 @dataclass(frozen=True)
 class Costs:
-    """Cost models of all stages; seconds are those of one core.
+    """Cost models of all stages; seconds are those of one core, bytes beyond what is loaded."""
 
-    Attributes
-    ----------
-    trace
-        A scene's tracing over its views.
-    pdp, peaks
-        Reading and PDP, and noise, peaks and profiles, of a scene over its views.
-    project, project_views
-        A projection over voxels at the base number of views, and over views at the base number of voxels.
-    search, search_levels
-        Search of the target's image over voxels at the base number of thresholds, and over thresholds.
-    base_views, base_thresholds
-        Those numbers.
-    truth
-        Preparing a truth over voxels.
-    case_s, parts_s
-        Core seconds of a case of the measured sweep, and of its noise, peaks, profiles, projection and search as they
-        were measured on their own.
-    handing_out_s
-        The coordinator's own time for a task.
-    efficiency
-        Core seconds of a case on one worker over those on two.
-    paths_per_view, memory_bytes_per_path, disk_bytes_per_path
-        Of a traced CIR.
-    compiling_bytes
-        Peak memory of tracing while kernels are compiled, beyond what is loaded.
-    trace_bytes, pdp_bytes
-        The same afterwards, and of reading and PDP, over views.
-    loaded_bytes
-        Memory of a process that has loaded the tracer.
-    compile_s
-        The first scene of a process beyond a usual one.
-    most_views
-        The largest number of views that was traced.
-    disturbed, points
-        Points at which other programs were in the way, of how many.
-    """
-
-    trace: Affine
-    pdp: Affine
-    peaks: Affine
-    project: Affine
-    project_views: Affine
-    search: PowerLaw
-    search_levels: PowerLaw
+    trace: Affine  # a scene's tracing, over views
+    pdp: Affine  # reading and PDP of a scene, over views
+    peaks: Affine  # noise, peaks and profiles of a scene, over views
+    project: Affine  # over voxels, at the base number of views
+    project_views: Affine  # over views, at the base number of voxels
+    search: PowerLaw  # of the target's image, over voxels, at the base number of thresholds
+    search_levels: PowerLaw  # over thresholds
     base_views: float
     base_thresholds: float
-    truth: PowerLaw
-    case_s: float
-    parts_s: float
-    handing_out_s: float
-    efficiency: float
+    truth: PowerLaw  # preparing a truth, over voxels
+    case_s: float  # a case of the measured sweep
+    parts_s: float  # its noise, peaks, profiles, projection and search as measured on their own
+    handing_out_s: float  # the coordinator's own time for a task
+    efficiency: float  # core seconds of a case on one worker over those on two
     paths_per_view: float
     memory_bytes_per_path: float
     disk_bytes_per_path: float
-    compiling_bytes: float
-    trace_bytes: Affine
-    pdp_bytes: Affine
-    loaded_bytes: float
-    compile_s: float
-    most_views: float
-    disturbed: int
+    compiling_bytes: float  # peak of tracing while kernels are compiled
+    trace_bytes: Affine  # the same afterwards, over views
+    pdp_bytes: Affine  # of reading and PDP, over views
+    loaded_bytes: float  # of a process that has loaded the tracer
+    compile_s: float  # the first scene of a process beyond a usual one
+    most_views: float  # that were traced
+    disturbed: int  # points at which other programs were in the way
     points: int
 
     @property
@@ -137,36 +93,18 @@ class StageCost:
 
 @dataclass(frozen=True)
 class CostForecast:
-    """What a campaign takes.
-
-    Attributes
-    ----------
-    campaign
-        The campaign.
-    stages
-        Every stage that runs on the workers.
-    computing_hours, coordinating_hours
-        All stages one after the other on all cores, and the one coordinator's own work, which goes on meanwhile.
-    bound
-        The stage that takes longest; ``coordination`` where that takes longer than all computing.
-    disk_bytes, disk_bytes_per_s
-        All CIR files, and the rate at which they are written.
-    worker_bytes, node_bytes
-        Memory of a worker and of a node.
-    assumptions
-        What was taken for granted, one sentence each.
-    """
+    """What a campaign takes. The one coordinator works while all stages go on one after the other on all cores."""
 
     campaign: CostScenario
-    stages: tuple[StageCost, ...]
+    stages: tuple[StageCost, ...]  # that run on the workers
     computing_hours: float
     coordinating_hours: float
-    bound: str
-    disk_bytes: float
+    bound: str  # the stage that takes longest, or "coordination" where that takes longer than all computing
+    disk_bytes: float  # of all CIR files
     disk_bytes_per_s: float
     worker_bytes: float
     node_bytes: float
-    assumptions: tuple[str, ...]
+    assumptions: tuple[str, ...]  # one sentence each
 
     @property
     def hours(self) -> float:
@@ -197,37 +135,23 @@ def costs_from(rows: Sequence[TimedPoint]) -> Costs:
     star = rows_along(rows, "tracing", "star", "views")
     typical = max(star, key=lambda row: row.size["views"])
     images = rows_along(rows, "projection", "mvla-gr", "voxels")
-    project = _affine(images, "voxels")
-    project_views = _affine(rows_along(rows, "projection", "mvla-gr", "views"), "views")
-    base_views = images[0].series.base["views"]
     read = rows_along(rows, "projection", "read and PDP", "views")
-    peaks = _affine(rows_along(rows, "projection", "noise, peaks, profiles", "views"), "views")
-    voxels = rows_along(rows, "search", "image of the target", "voxels")
-    levels = rows_along(rows, "search", "image of the target", "thresholds")
-    truth = rows_along(rows, "search", "truth", "voxels")
-    search, search_levels = _law(voxels, "voxels"), _law(levels, "thresholds")
+    searches = rows_along(rows, "search", "image of the target", "voxels")
     alone, both = rows_along(rows, "sweep", "cases", "workers")
     (tasks,) = rows_along(rows, "sweep", "empty tasks", "workers")
-    size = alone.size
-    base = voxels[0].series.base["thresholds"]
-    parts = (
-        peaks(size["views"])
-        + project(SWEEP_VOXELS) * project_views(size["views"]) / project_views(base_views)
-        + search(SWEEP_VOXELS) * (size["views"] / base) ** search_levels.exponent
-    )
-    return Costs(
+    costs = Costs(
         trace=_affine(star, "views"),
         pdp=_affine(read, "views"),
-        peaks=peaks,
-        project=project,
-        project_views=project_views,
-        base_views=base_views,
-        search=search,
-        search_levels=search_levels,
-        base_thresholds=base,
-        truth=_law(truth, "voxels"),
+        peaks=_affine(rows_along(rows, "projection", "noise, peaks, profiles", "views"), "views"),
+        project=_affine(images, "voxels"),
+        project_views=_affine(rows_along(rows, "projection", "mvla-gr", "views"), "views"),
+        base_views=images[0].series.base["views"],
+        search=_law(searches, "voxels"),
+        search_levels=_law(rows_along(rows, "search", "image of the target", "thresholds"), "thresholds"),
+        base_thresholds=searches[0].series.base["thresholds"],
+        truth=_law(rows_along(rows, "search", "truth", "voxels"), "voxels"),
         case_s=alone.measured.core_s / alone.done,
-        parts_s=parts,
+        parts_s=0.0,
         handing_out_s=tasks.measured.core_s / tasks.done,
         efficiency=min(1.0, alone.measured.core_s / both.measured.core_s),
         paths_per_view=typical.measured.facts["paths_per_view"],
@@ -242,18 +166,13 @@ def costs_from(rows: Sequence[TimedPoint]) -> Costs:
         disturbed=sum(row.disturbed for row in rows),
         points=len(rows),
     )
+    views = alone.size["views"]
+    parts = costs.peaks(views) + costs.project_s(SWEEP_VOXELS, views) + costs.search_s(SWEEP_VOXELS, views)
+    return replace(costs, parts_s=parts)
 
 
 def estimate(costs: Costs, campaign: CostScenario | None = None) -> CostForecast:
-    """Extrapolate to a campaign: every scene is traced, imaged with MVLA-GR, and scored at the best thresholds.
-
-    Parameters
-    ----------
-    costs
-        From :func:`costs_from`.
-    campaign
-        By default 10⁶ scenes from 360 views on 64 nodes of 32 cores.
-    """
+    """Extrapolate to a campaign: every scene is traced, imaged with MVLA-GR, and scored at the best thresholds."""
     campaign = campaign or CostScenario()
     views, voxels = campaign.views, campaign.voxels
     per_scene = {
@@ -286,16 +205,12 @@ def estimate(costs: Costs, campaign: CostScenario | None = None) -> CostForecast
 
 
 def _assumptions(costs: Costs, campaign: CostScenario) -> tuple[str, ...]:
-    quiet = (
-        ()
-        if not costs.disturbed
-        else (
-            f"Other programs were running at {costs.disturbed} of {costs.points} points, so all seconds are too high "
-            "by an unknown factor, and the stage that bounds may be another on a quiet machine.",
-        )
+    noisy = (
+        f"Other programs were running at {costs.disturbed} of {costs.points} points, so all seconds are too high "
+        "by an unknown factor, and the stage that bounds may be another on a quiet machine.",
     )
     return (
-        *quiet,
+        *(noisy if costs.disturbed else ()),
         "Every scene is like the paper's star: 26,000 rays a view, one interaction, "
         f"{costs.paths_per_view:.0f} paths a view; rays, depth and facets change that as their tables say.",
         f"Every scene is traced once and imaged once, with MVLA-GR on {campaign.voxels:,} voxels and all "

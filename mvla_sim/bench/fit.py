@@ -18,15 +18,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """y = scale·x^exponent.
-
-    Attributes
-    ----------
-    scale, exponent
-        Of the law.
-    spread
-        Root mean square of ln(y/law): 0.1 is about 10 %.
-    """
+    """y = scale·x^exponent; ``spread`` is the root mean square of ln(y/law): 0.1 is about 10 %."""
 
     scale: float
     exponent: float

@@ -22,13 +22,8 @@ __all__ = ["FrontEndJob"]
 class FrontEndJob(Job):
     """Part of the way from a CIR file to range profiles. The paths are random.
 
-    Parameters
-    ----------
-    part
-        ``pdp``: read the file and compute power delay profiles; ``peaks``: add noise to them, extract peaks, and make
-        range profiles.
-    views, paths_per_view
-        Size of the file.
+    Part ``pdp`` reads the file and computes power delay profiles; ``peaks`` adds noise to them, extracts peaks, and
+    makes range profiles.
     """
 
     def __init__(self, part: str, views: float, paths_per_view: float) -> None:

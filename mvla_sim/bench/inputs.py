@@ -36,20 +36,9 @@ def ring(views: float) -> Views:
 
 
 def scene_settings(shape: str, views: float, rays: float, turn_deg: float = 0.0, **more: Any) -> SceneSettings:
-    """A target of 4 m radius inside a circle of views.
+    """A ``star`` or ``circle`` of 4 m radius inside a circle of views, turned so that the scene is a new one.
 
-    Parameters
-    ----------
-    shape
-        ``star`` or ``circle``.
-    views
-        Views on the circle.
-    rays
-        Rays a view, both passes together, in the default proportion.
-    turn_deg
-        Turns the target, so that the scene is a new one.
-    more
-        Other settings of the object.
+    ``rays`` are those a view of both passes together, in the default proportion; ``more`` sets the object.
     """
     share = rays / sum(DEFAULT_RAYS)
     data = {

@@ -33,66 +33,32 @@ LONGEST_S: Final = 3600.0
 
 @dataclass(frozen=True)
 class Work:
-    """What a child does.
+    """What a child does."""
 
-    Attributes
-    ----------
-    target
-        ``module:function`` that takes ``params`` and returns a :class:`~mvla_sim.bench.child.Job`.
-    params
-        Plain values.
-    engine
-        What is loaded before memory is counted: nothing, Dr.Jit (``projector``), or Sionna RT as well (``tracer``).
-    warmups
-        Calls that are not counted, at least 1; the first of them is reported on its own.
-    repeats, budget_s
-        Counted calls: so many, fewer where they take longer than the budget together, but at least 2.
-    cores
-        Cores the child and its own children may use; None for all.
-    """
-
-    target: str
-    params: Mapping[str, Any] = field(default_factory=dict)
-    engine: Engine = "none"
-    warmups: int = 1
-    repeats: int = 5
+    target: str  # module:class of a mvla_sim.bench.child.Job that takes ``params``
+    params: Mapping[str, Any] = field(default_factory=dict)  # plain values
+    engine: Engine = "none"  # loaded before memory is counted: Dr.Jit (projector), or Sionna RT as well (tracer)
+    warmups: int = 1  # calls that are not counted, at least 1; the first of them is reported on its own
+    repeats: int = 5  # counted calls, fewer where they take longer than the budget together, but at least 2
     budget_s: float = 4.0
-    cores: int | None = None
+    cores: int | None = None  # that the child and its own children may use; None for all
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What a child found.
+    """What a child found: seconds and bytes.
 
-    Attributes
-    ----------
-    first_s
-        The first call, in which kernels are compiled, seconds.
-    median_s
-        Median of the counted calls, seconds on the clock.
-    core_s
-        The least time that cores worked in a counted call, seconds. Waiting for other programs is not in it, but what
-        they slow down in shared caches and memory is.
-    repeats
-        Number of counted calls.
-    memory_bytes
-        Peak memory beyond ``loaded_bytes``, compilation included.
-    steady_bytes
-        The same of the counted calls alone, in which nothing large is compiled.
-    loaded_bytes
-        Memory of the process before the work: Python, libraries and backend.
-    facts
-        What else the work says about itself.
+    Waiting for other programs is not in ``core_s``, but what they slow down in shared caches and memory is.
     """
 
-    first_s: float
-    median_s: float
-    core_s: float
-    repeats: int
-    memory_bytes: float
-    steady_bytes: float
-    loaded_bytes: float
-    facts: Mapping[str, float] = field(default_factory=dict)
+    first_s: float  # the first call, in which kernels are compiled
+    median_s: float  # of the counted calls, on the clock
+    core_s: float  # the least time that cores worked in a counted call
+    repeats: int  # counted calls
+    memory_bytes: float  # peak memory beyond ``loaded_bytes``, compilation included
+    steady_bytes: float  # the same of the counted calls alone, in which nothing large is compiled
+    loaded_bytes: float  # memory before the work: Python, libraries and backend
+    facts: Mapping[str, float] = field(default_factory=dict)  # what else the work says about itself
 
 
 @dataclass(frozen=True)
@@ -125,14 +91,8 @@ def memory_of(process: int | str = "self") -> Memory:
 def measure(work: Work, *, kernels: Path | None = None, cache: Path | None = None) -> Measured:
     """Do the work in a fresh child process.
 
-    Parameters
-    ----------
-    work
-        What is done.
-    kernels
-        Folder of compiled kernels that several points share; by default this one's are kept apart and thrown away.
-    cache
-        Folder of traced channels that several points share; by default likewise.
+    Several points may share a folder of compiled ``kernels``, and one of traced channels as ``cache``; by default this
+    one's are kept apart and thrown away.
 
     Raises
     ------

@@ -19,12 +19,7 @@ RADIUS_M = 0.32
 class ProjectionJob(Job):
     """Project random range profiles onto a grid, as dense as the method makes them.
 
-    Parameters
-    ----------
-    method
-        ``mvla-gr``: profiles and distances, hence angular support; ``bp``: profiles alone.
-    voxels, views
-        Size of the projection.
+    Those of ``mvla-gr`` have distances, hence angular support, those of ``bp`` none.
     """
 
     def __init__(self, method: str, voxels: float, views: float) -> None:

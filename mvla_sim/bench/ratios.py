@@ -28,7 +28,8 @@ from mvla_sim.channel.cir import INTERACTIONS
 from mvla_sim.channel.raytrace import ViewTracer
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.engine.backend import set_threads
-from mvla_sim.engine.machine import core_count
+from mvla_sim.engine.cache import URL_VARIABLE, VARIABLE
+from mvla_sim.engine.machine import core_count, environment_kept
 from mvla_sim.errors import ConfigError
 from mvla_sim.evaluation.evaluate import ground_truth
 from mvla_sim.evaluation.metrics import score
@@ -72,38 +73,19 @@ PARTS: Final[dict[str, Callable[..., Any]]] = {
 
 @dataclass(frozen=True)
 class Ratio:
-    """A cost and what it was compared with.
-
-    Attributes
-    ----------
-    stage, name
-        What was measured.
-    seconds
-        Its median, of one piece of work; NaN where no time is compared.
-    ratio, against
-        The ratio and what it is of.
-    rate_per_s, unit
-        What gets done a second; NaN where nothing is counted.
-    """
+    """A cost and what it was compared with."""
 
     stage: str
     name: str
-    seconds: float
+    seconds: float  # median, of one piece of work; NaN where no time is compared
     ratio: float
     against: str
-    rate_per_s: float = math.nan
+    rate_per_s: float = math.nan  # units that get done; NaN where nothing is counted
     unit: str = ""
 
 
 def measure_ratios(stages: Sequence[str] = (), *, runs: int = 5) -> Iterator[Ratio]:
-    """Measure the ratios of some stages of :data:`RATIOS`, by default all, each after calls to warm up.
-
-    Parameters
-    ----------
-    stages
-        Names of :data:`RATIOS`.
-    runs
-        Calls that a median is taken over.
+    """Measure the ratios of some stages of :data:`RATIOS`, by default all; medians are of so many runs after a first.
 
     Raises
     ------
@@ -316,7 +298,9 @@ def _mean_pdp(scene: Scene) -> tuple[float, float, NDArray[np.float64]]:
 def _sweep(runs: int) -> Iterator[Ratio]:
     """Share of each part in 40 cases of the star, in this process on one thread; then the same in worker processes."""
     del runs
-    with tempfile.TemporaryDirectory(prefix="mvla-bench-") as name, _cache(f"{name}/cache"):
+    with tempfile.TemporaryDirectory(prefix="mvla-bench-") as name, environment_kept(VARIABLE, URL_VARIABLE):
+        os.environ.pop(URL_VARIABLE, None)
+        os.environ[VARIABLE] = f"{name}/cache"  # traced channels of one's own
         folder = Path(name)
         plan = star_plan(folder, VIEWS, AXES)
         for source in plan.sources.values():
@@ -336,18 +320,6 @@ def _sweep(runs: int) -> Iterator[Ratio]:
         workers = _seconds(lambda: run_plan(plan, folder / "all"))
         what = f"in {core_count()} workers, with their start"
         yield Ratio("sweep", what, workers, workers / seconds, all_cases, count / workers, "cases")
-
-
-@contextlib.contextmanager
-def _cache(folder: str) -> Iterator[None]:
-    """A cache of traced channels of one's own."""
-    before = {name: os.environ.pop(name, None) for name in ("MVLA_CACHE_DIR", "MVLA_CACHE_URL")}
-    os.environ["MVLA_CACHE_DIR"] = folder
-    try:
-        yield
-    finally:
-        del os.environ["MVLA_CACHE_DIR"]
-        os.environ.update({name: value for name, value in before.items() if value is not None})
 
 
 RATIOS: Final[dict[str, Callable[[int], Iterator[Ratio]]]] = {

@@ -7,7 +7,6 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
-from shapely import Polygon
 
 from mvla_sim.bench.child import Job
 from mvla_sim.bench.inputs import grid_of
@@ -21,16 +20,11 @@ __all__ = ["SearchJob", "TruthJob"]
 WAVES = 24
 
 
-def star() -> Polygon:
-    """Outline of the paper's star, metres."""
-    return Star().outline()
-
-
 class TruthJob(Job):
     """Rasterise the star's outline and prepare it for the search."""
 
     def __init__(self, voxels: float) -> None:
-        self.grid, self.outline = grid_of(voxels), star()
+        self.grid, self.outline = grid_of(voxels), Star().outline()
         self.truth_voxels, self.rasterize_s = 0, 0.0
 
     def call(self, number: int) -> None:
@@ -48,41 +42,27 @@ class TruthJob(Job):
 
 
 class SearchJob(Job):
-    """The exact optimum over every p and every T_θ, of an image of the star or of one that knows nothing of it.
+    """The exact optimum over every p and every T_θ, of an image with so many distinct values of Θ at most.
 
-    Parameters
-    ----------
-    voxels
-        Voxels of the image.
-    thresholds
-        Distinct values of Θ, at most.
-    image
-        ``contour``: a score that falls off from the contour, with speckle and clutter, and wide support near it;
-        ``half``: the same with nothing on one side, so that much of the truth is far from any voxel; ``score alone``:
-        the first without support, as backprojection is searched; ``unrelated``, ``white``: smooth and white random
-        score and support, the worst cases.
+    Image ``contour`` is a score that falls off from the star's contour, with speckle and clutter, and wide support near
+    it; ``unrelated`` has smooth random score and support, the worst case.
     """
 
     def __init__(self, voxels: float, thresholds: float, image: str) -> None:
         grid = grid_of(voxels)
-        truth = rasterize(star(), grid, "contour")
+        truth = rasterize(Star().outline(), grid, "contour")
         self.geometry = TruthGeometry.build(truth, grid)
         rng = np.random.default_rng(1)
         smooth = _waves(grid, 2)
-        if image in ("contour", "half", "score alone"):
+        if image == "contour":
             distance = distance_transform_edt(~truth) * grid.spacing_m
             clutter = rng.random(grid.shape) < 0.02
             score = (np.exp(-distance / 0.15) + 0.05 * smooth + clutter) * rng.exponential(size=grid.shape)
             likely = np.exp(-distance / 1.5) * rng.random(grid.shape) + 0.3 * smooth
-            if image == "half":
-                score, likely = (np.where(np.linspace(0, 1, grid.counts[0]) > 0.5, one, 0.0) for one in (score, likely))
-        elif image == "white":
-            score, likely = rng.random(grid.shape), rng.random(grid.shape)
         else:
-            score = smooth
-            likely = _waves(grid, 3)
+            score, likely = smooth, _waves(grid, 3)
         self.score = np.asarray(score, np.float32)
-        self.theta = None if image == "score alone" else _levels(likely, round(thresholds))
+        self.theta = _levels(likely, round(thresholds))
 
     def call(self, number: int) -> None:
         """Search."""
@@ -91,7 +71,7 @@ class SearchJob(Job):
 
     def facts(self) -> dict[str, float]:
         """Values of Θ that occur."""
-        return {"distinct_thresholds": 0.0 if self.theta is None else float(np.unique(self.theta).size)}
+        return {"distinct_thresholds": float(np.unique(self.theta).size)}
 
 
 def _waves(grid: VoxelGrid, seed: int) -> NDArray[np.float64]:

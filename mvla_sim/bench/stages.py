@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from mvla_sim.bench.measure import ALONE, Engine, Measured, Work, measure
+from mvla_sim.bench.measure import ALONE, Measured, Work, measure
 from mvla_sim.errors import ConfigError
 from mvla_sim.interrupt import interruptible
 from mvla_sim.progress import progress
 
 __all__ = ["SIZES", "STAGES", "Point", "Series", "TimedPoint", "measure_stages", "points_of", "series_of"]
 
-STAGES: Final = ("tracing", "projection", "search", "sweep")
 SIZES: Final = ("rays", "views", "facets", "voxels", "thresholds", "workers", "cases", "tasks")
 """Everything a point's size can be made of."""
 PATHS_PER_VIEW: Final = 4400
@@ -26,45 +25,23 @@ Size = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Series:
-    """Points that differ in one size at a time.
-
-    Attributes
-    ----------
-    stage, name
-        The stage, and what of it is measured.
-    target
-        Class of the job, ``module:name``; its arguments are the size and ``params``.
-    base
-        Size of the point that all axes share.
-    axes
-        Sizes along which cost is measured, with the values it is measured at.
-    counted, unit
-        Sizes whose product is what a call gets done, and its name.
-    params, engine, warmups, repeats
-        As of :class:`~mvla_sim.bench.measure.Work`.
-    pinned
-        Whether the child and its workers get as many cores as there are workers.
-    """
+    """Points that differ in one size at a time."""
 
     stage: str
-    name: str
-    target: str
-    base: Size
-    axes: Mapping[str, tuple[float, ...]]
-    counted: tuple[str, ...]
-    unit: str
-    params: Mapping[str, Any] = field(default_factory=dict)
-    engine: Engine = "none"
-    warmups: int = 1
-    repeats: int = 5
-    pinned: bool = False
+    name: str  # what is measured of the stage
+    work: Work  # the job; its arguments are the size of the point and ``params``
+    base: Size  # of the point that all axes share
+    axes: Mapping[str, tuple[float, ...]]  # sizes along which cost is measured, and the values it is measured at
+    counted: tuple[str, ...]  # sizes whose product is what a call gets done
+    unit: str  # the name of that
+    pinned: bool = False  # whether the child and its workers get as many cores as there are workers
 
-    def sizes(self) -> Iterator[dict[str, float]]:
-        """Size of each point, the base first, each once."""
+    def points(self) -> Iterator[Point]:
+        """The points, the base first, each once."""
         seen = [dict(self.base)]
         for axis, values in self.axes.items():
             seen += [{**self.base, axis: value} for value in values]
-        yield from (size for place, size in enumerate(seen) if size not in seen[:place])
+        yield from (Point(self, size) for place, size in enumerate(seen) if size not in seen[:place])
 
 
 @dataclass(frozen=True)
@@ -77,18 +54,15 @@ class Point:
     @property
     def work(self) -> Work:
         """What a child does."""
-        series = self.series
-        cores = round(self.size["workers"]) if series.pinned else None
-        params = {**self.size, **series.params}
-        return Work(series.target, params, series.engine, series.warmups, series.repeats, cores=cores)
+        work = self.series.work
+        cores = round(self.size["workers"]) if self.series.pinned else None
+        return replace(work, params={**self.size, **work.params}, cores=cores)
 
 
 @dataclass(frozen=True)
-class TimedPoint:
+class TimedPoint(Point):
     """One point with what was measured."""
 
-    series: Series
-    size: Size
     measured: Measured
 
     @property
@@ -116,19 +90,18 @@ def series_of(stage: str, *, quick: bool = False) -> tuple[Series, ...]:
     ConfigError
         There is no such stage.
     """
-    makers = {"tracing": _tracing, "projection": _projection, "search": _search, "sweep": _sweep}
-    if stage not in makers:
+    if stage not in STAGES:
         raise ConfigError(f"stage = {stage}: no such stage; allowed: {', '.join(STAGES)}")
-    return makers[stage](quick)
+    return STAGES[stage](quick)
 
 
 def points_of(stages: Sequence[str], *, quick: bool = False) -> list[Point]:
     """All points of the stages. Raises as :func:`series_of`."""
     chosen = [one for stage in dict.fromkeys(stages) for one in series_of(stage, quick=quick)]
-    return [Point(one, size) for one in chosen for size in one.sizes()]
+    return [point for one in chosen for point in one.points()]
 
 
-def measure_stages(stages: Sequence[str] = STAGES, *, quick: bool = False) -> list[TimedPoint]:
+def measure_stages(stages: Sequence[str], *, quick: bool = False) -> list[TimedPoint]:
     """Measure every point of the stages, one after the other.
 
     Quick points share one folder of compiled kernels, so only the first of them shows how long compiling takes.
@@ -149,9 +122,8 @@ def measure_stages(stages: Sequence[str] = STAGES, *, quick: bool = False) -> li
     ):
         kernels = Path(name) / "kernels" if quick else None
         for point in points:
-            rows.append(
-                TimedPoint(point.series, point.size, measure(point.work, kernels=kernels, cache=Path(name) / "cache"))
-            )
+            found = measure(point.work, kernels=kernels, cache=Path(name) / "cache")
+            rows.append(TimedPoint(point.series, point.size, found))
             advance(1)
     return rows
 
@@ -161,24 +133,16 @@ def _tracing(quick: bool) -> tuple[Series, ...]:
 
     The first two scenes of a process compile the large kernels, so neither is counted.
     """
-    target = "mvla_sim.bench.tracing_jobs:TracingJob"
+    work = Work("mvla_sim.bench.tracing_jobs:TracingJob", engine="tracer", warmups=2, repeats=2 if quick else 3)
     rays = 26_000.0
-    common: dict[str, Any] = {"counted": ("views",), "unit": "views", "engine": "tracer", "warmups": 2}
-    if quick:
-        star = Series(
-            "tracing", "star", target, {"rays": rays, "views": 2}, {"rays": (rays, 4 * rays), "views": (2, 8)},
-            repeats=2, **common,
-        )  # fmt: skip
-        return (star,)
-    few: dict[str, Any] = {"repeats": 3, **common}
     base = {"rays": rays, "views": 2.0}
-    return (
-        Series(
-            "tracing", "star", target, base,
-            {"rays": (rays / 2, rays, 4 * rays, 16 * rays), "views": (1, 2, 8, 24)}, **few,
-        ),
-        Series("tracing", "circle", target, {**base, "facets": 360}, {"facets": (36, 360, 3600, 36_000)}, **few),
-    )  # fmt: skip
+    axes: dict[str, tuple[float, ...]] = {"rays": (rays / 2, rays, 4 * rays, 16 * rays), "views": (1, 2, 8, 24)}
+    if quick:
+        axes = {"rays": (rays, 4 * rays), "views": (2, 8)}
+    star = Series("tracing", "star", work, base, axes, ("views",), "views")
+    facets = {"facets": (36.0, 360.0, 3600.0, 36_000.0)}
+    circle = Series("tracing", "circle", work, {**base, "facets": 360}, facets, ("views",), "views")
+    return (star,) if quick else (star, circle)
 
 
 def _projection(quick: bool) -> tuple[Series, ...]:
@@ -186,18 +150,20 @@ def _projection(quick: bool) -> tuple[Series, ...]:
     voxels = (10_000.0, 160_000.0) if quick else (10_000.0, 40_000.0, 160_000.0, 640_000.0, 2_560_000.0)
     views = (36.0, 144.0) if quick else (9.0, 36.0, 72.0, 144.0, 720.0)
     base = {"voxels": 160_000.0, "views": 36.0 if quick else 72.0}
+    job = Work("mvla_sim.bench.projection_jobs:ProjectionJob", engine="projector")
     projections = tuple(
         Series(
-            "projection", method, "mvla_sim.bench.projection_jobs:ProjectionJob", base,
-            {"voxels": voxels, "views": views}, ("voxels", "views"), "voxel·view", {"method": method}, "projector",
+            "projection", method, replace(job, params={"method": method}), base, {"voxels": voxels, "views": views},
+            ("voxels", "views"), "voxel·view",
         )
         for method in ("mvla-gr", "bp")
     )  # fmt: skip
-    seen = (9.0, 36.0) if quick else (9.0, 36.0, 144.0)
+    seen = {"views": (9.0, 36.0) if quick else (9.0, 36.0, 144.0)}
     front = tuple(
         Series(
-            "projection", name, "mvla_sim.bench.imaging_jobs:FrontEndJob", {"views": 36}, {"views": seen}, ("views",),
-            "views", {"part": part, "paths_per_view": PATHS_PER_VIEW},
+            "projection", name,
+            Work("mvla_sim.bench.imaging_jobs:FrontEndJob", {"part": part, "paths_per_view": PATHS_PER_VIEW}),
+            {"views": 36}, seen, ("views",), "views",
         )
         for part, name in (("pdp", "read and PDP"), ("peaks", "noise, peaks, profiles"))
     )  # fmt: skip
@@ -208,39 +174,34 @@ def _search(quick: bool) -> tuple[Series, ...]:
     """The exact search for a usual and for the worst image, and what prepares a truth for it."""
     voxels = (10_000.0, 40_000.0) if quick else (10_000.0, 40_000.0, 160_000.0, 640_000.0)
     thresholds = (18.0, 72.0) if quick else (6.0, 18.0, 72.0, 360.0)
-    base = {"voxels": 40_000.0, "thresholds": 72.0}
-    searches = tuple(
+    target, unrelated = (
         Series(
-            "search", name, "mvla_sim.bench.search_jobs:SearchJob", base,
-            {"voxels": sizes, "thresholds": thresholds}, (), "images", {"image": image},
+            "search", name, Work("mvla_sim.bench.search_jobs:SearchJob", {"image": image}),
+            {"voxels": 40_000.0, "thresholds": 72.0}, {"voxels": sizes, "thresholds": thresholds}, (), "images",
         )
         for image, name, sizes in (
             ("contour", "image of the target", voxels), ("unrelated", "unrelated image", voxels[:3])
         )
     )  # fmt: skip
-    truth = Series(
-        "search", "truth", "mvla_sim.bench.search_jobs:TruthJob", {"voxels": 40_000}, {"voxels": voxels}, (), "truths"
-    )
-    others = tuple(
-        Series(
-            "search", name, "mvla_sim.bench.search_jobs:SearchJob", base, {"voxels": (base["voxels"],)}, (), "images",
-            {"image": image},
-        )
-        for image, name in (("half", "half of the target"), ("score alone", "no support"), ("white", "white noise"))
-    )  # fmt: skip
-    return (searches[0], truth) if quick else (*searches, truth, *others)
+    work = Work("mvla_sim.bench.search_jobs:TruthJob")
+    truth = Series("search", "truth", work, {"voxels": 40_000}, {"voxels": voxels}, (), "truths")
+    return (target, truth) if quick else (target, unrelated, truth)
 
 
 def _sweep(quick: bool) -> tuple[Series, ...]:
     """Cases on one and two workers, each on a core of its own, and empty tasks."""
+    job = "mvla_sim.bench.sweep_jobs"
     size = {"workers": 1.0, "cases": 128.0 if quick else 640.0, "views": 12.0 if quick else 36.0}
+    tasks = {"workers": 1, "tasks": 200.0 if quick else 500.0}
     return (
         Series(
-            "sweep", "cases", "mvla_sim.bench.sweep_jobs:SweepJob", size, {"workers": (1, 2)}, ("cases",), "cases",
-            repeats=2, pinned=True,
+            "sweep", "cases", Work(f"{job}:SweepJob", repeats=2), size, {"workers": (1, 2)}, ("cases",), "cases", True
         ),
-        Series(
-            "sweep", "empty tasks", "mvla_sim.bench.sweep_jobs:HandingOutJob",
-            {"workers": 1, "tasks": 200.0 if quick else 500.0}, {}, ("tasks",), "tasks", repeats=3,
-        ),
-    )  # fmt: skip
+        Series("sweep", "empty tasks", Work(f"{job}:HandingOutJob", repeats=3), tasks, {}, ("tasks",), "tasks"),
+    )
+
+
+STAGES: Final[dict[str, Callable[[bool], tuple[Series, ...]]]] = {
+    "tracing": _tracing, "projection": _projection, "search": _search, "sweep": _sweep,
+}  # fmt: skip
+"""The series of every stage, in the order they are measured in."""

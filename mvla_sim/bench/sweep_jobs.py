@@ -90,14 +90,7 @@ class _Workers(Job):
 class SweepJob(_Workers):
     """Cases of one traced channel, each from noise to scores, stored as they finish.
 
-    Parameters
-    ----------
-    workers
-        Worker processes, each with one thread where there are as many cores.
-    cases
-        Cases, all of them MVLA-GR at 40,000 voxels with noise of their own.
-    views
-        Views of the channel, all of which every case uses.
+    All are MVLA-GR at 40,000 voxels from all ``views``, with noise of their own.
     """
 
     def __init__(self, workers: float, cases: float, views: float) -> None:

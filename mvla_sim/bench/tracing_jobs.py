@@ -21,14 +21,9 @@ ASIDE_M: Final = (0.4, 0.3, 0.0)
 
 
 class TracingJob(Job):
-    """From settings to a CIR file. Every call has a scene that was never traced before.
+    """From settings to a CIR file of so many rays a view. Every call has a scene that was never traced before.
 
-    Parameters
-    ----------
-    rays, views
-        Rays a view, and views.
-    facets
-        Of a circle; without them the target is the star.
+    The target is a circle of so many facets, without them the star.
     """
 
     def __init__(self, rays: float, views: float, facets: float | None = None) -> None:

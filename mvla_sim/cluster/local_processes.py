@@ -17,7 +17,7 @@ from distributed import Client, LocalCluster
 
 from mvla_sim.cluster.dask_cluster import CLOSE_S, LOST, START_S, DaskCluster
 from mvla_sim.cluster.worker import Context
-from mvla_sim.engine.machine import core_count
+from mvla_sim.engine.machine import core_count, environment_kept
 from mvla_sim.errors import RuntimeUnfitError
 
 __all__ = ["LocalProcesses"]
@@ -46,7 +46,7 @@ class LocalProcesses(DaskCluster):
 
     def _connect(self, stack: contextlib.ExitStack) -> Any:
         stack.enter_context(dask.config.set(CONFIGURATION))
-        stack.enter_context(_environment_kept((*ALGEBRA, "PYTHONHASHSEED", "__DASK_PARENT_PID")))
+        stack.enter_context(environment_kept(*ALGEBRA, "PYTHONHASHSEED", "__DASK_PARENT_PID"))  # Dask sets them here
         shown = importlib.util.find_spec("bokeh") is not None
         with _interrupts_blocked():
             local = LocalCluster(
@@ -105,17 +105,3 @@ def _interrupts_blocked() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextlib.contextmanager
-def _environment_kept(names: tuple[str, ...]) -> Iterator[None]:
-    """Put back variables afterwards that Dask sets for its workers in this process."""
-    before = {name: os.environ.get(name) for name in names}
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import platformdirs
 
+from mvla_sim.engine.machine import environment_kept
 from mvla_sim.errors import ConfigError, OutputError, reason
 from mvla_sim.files import atomic_output
 
@@ -55,17 +56,11 @@ def shared_cache(url: str | None) -> Iterator[None]:
     ConfigError
         No such place can be used: unknown protocol, or its package is not installed.
     """
-    before = os.environ.get(URL_VARIABLE)
-    try:
+    with environment_kept(URL_VARIABLE):
         if url is not None:
             os.environ[URL_VARIABLE] = url
         _place()
         yield
-    finally:
-        if before is None:
-            os.environ.pop(URL_VARIABLE, None)
-        else:
-            os.environ[URL_VARIABLE] = before
 
 
 def cache_url() -> str | None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Final
 
-__all__ = ["PACKAGES", "core_count", "cpu_name", "package_versions", "program_version"]
+__all__ = ["PACKAGES", "core_count", "cpu_name", "environment_kept", "package_versions", "program_version"]
 
 PACKAGES: Final = ("drjit", "mitsuba", "sionna-rt", "numpy", "scipy", "xarray", "trimesh")
 """The distributions whose versions can change a result."""
@@ -35,6 +37,18 @@ def core_count() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def environment_kept(*names: str) -> Iterator[None]:
+    """Within the block variables of the environment may change; afterwards they are what they were."""
+    before = {name: os.environ.get(name) for name in names}
+    try:
+        yield
+    finally:
+        for name in names:
+            os.environ.pop(name, None)
+        os.environ.update({name: value for name, value in before.items() if value is not None})
 
 
 def cpu_name() -> str:

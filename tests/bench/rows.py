@@ -19,9 +19,6 @@ LAWS = {
     "read and PDP": lambda size: 0.05 + 0.01 * size["views"],
     "noise, peaks, profiles": lambda size: 1e-3 * size["views"],
     "image of the target": lambda size: 1e-6 * size["voxels"] * (size["thresholds"] / 72) ** 0.5,
-    "half of the target": lambda size: 2e-6 * size["voxels"],
-    "no support": lambda size: 1e-7 * size["voxels"],
-    "white noise": lambda size: 1e-5 * size["voxels"],
     "unrelated image": lambda size: 1e-5 * size["voxels"],
     "truth": lambda size: 1e-6 * size["voxels"],
     "cases": lambda size: size["cases"] * (0.125 if size["workers"] == 2 else 0.1),
@@ -36,11 +33,7 @@ def measured_rows(stages=("tracing", "projection", "search", "sweep"), quick=Fal
     for point in points_of(stages, quick=quick):
         core = LAWS[point.series.name](point.size) * (factor(point.series) if factor else 1.0)
         clock = core / (point.size["workers"] if point.series.pinned else 1)
-
         memory = 10e6 + 1e6 * point.size.get("views", 0.0)
-        rows.append(
-            TimedPoint(
-                point.series, point.size, Measured(core + 5, clock, core, 3, memory + 5e6, memory, LOADED, FACTS)
-            )
-        )
+        found = Measured(core + 5, clock, core, 3, memory + 5e6, memory, LOADED, FACTS)
+        rows.append(TimedPoint(point.series, point.size, found))
     return rows
