@@ -35,6 +35,7 @@ SHORT_NAMES: Final[Mapping[str, str]] = {
     "offset": "views.offset",
     "kappa": "mvla.kappa",
     "eta": "mvla.eta",
+    "extent_m": "mvla.extent_m",
     "spacing_m": "grid.spacing_m",
     "threshold_sigma": "peaks.threshold_sigma",
 }

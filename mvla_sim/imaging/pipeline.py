@@ -229,7 +229,9 @@ class Pipeline:
             grid=grid,
             settings=settings,
             extent_m=channel.extent_m,
-            span_m=grid.range_span_m(channel.views.positions_m, channel.views.receivers_m),
+            span_m=self.keep(
+                "span", settings.grid, lambda: grid.range_span_m(channel.views.positions_m, channel.views.receivers_m)
+            ),
             beam=self.keep("beam", settings.beam, lambda: build_beam(channel.antenna, settings.beam)),
         )
 
