@@ -36,192 +36,236 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mvla_sim.channel.cir import Cir
-    from mvla_sim.channel.components import Components
-    from mvla_sim.channel.importing import import_channel, import_settings
-    from mvla_sim.channel.loading import load_channel
-    from mvla_sim.channel.response import FrequencyResponse
-    from mvla_sim.channel.simulate import simulate
-    from mvla_sim.channel.synthesis import synthesize, write_sweeps
-    from mvla_sim.dataset.access import open_dataset
-    from mvla_sim.dataset.build import build_dataset
-    from mvla_sim.dataset.score import score_dataset
-    from mvla_sim.errors import MvlaError
-    from mvla_sim.evaluation.boxes import bounding_box
-    from mvla_sim.evaluation.evaluate import EvaluationSettings, evaluate
-    from mvla_sim.imaging.image import Image
-    from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
-    from mvla_sim.imaging.observation import Observation
-    from mvla_sim.imaging.pipeline import observe, reconstruct
-    from mvla_sim.imaging.volumes import export_image
-    from mvla_sim.measured.process import load_process, process
-    from mvla_sim.plot.curves import plot_curves
-    from mvla_sim.plot.image_figures import plot_comparison, plot_image
-    from mvla_sim.plot.scene_figures import plot_scene
-    from mvla_sim.plot.style import save_figure
-    from mvla_sim.plot.waterfall import plot_waterfall
-    from mvla_sim.scene.antenna import Antenna, AntennaPattern
-    from mvla_sim.scene.antennas.cuts import PatternCuts
-    from mvla_sim.scene.antennas.horn import Horn
-    from mvla_sim.scene.antennas.omni import Omni
-    from mvla_sim.scene.antennas.pattern_file import PatternFile
-    from mvla_sim.scene.material import CustomMaterial, ScatteringPattern
-    from mvla_sim.scene.pointing import PointingSettings
-    from mvla_sim.scene.radio import RadioSettings, RayTracingSettings
-    from mvla_sim.scene.shape import Prism, Shape
-    from mvla_sim.scene.shapes.car import Car
-    from mvla_sim.scene.shapes.cylinder import Cylinder
-    from mvla_sim.scene.shapes.mesh_file import MeshFile
-    from mvla_sim.scene.shapes.polygon import Polygon
-    from mvla_sim.scene.shapes.rectangle import Rectangle
-    from mvla_sim.scene.shapes.square import Square
-    from mvla_sim.scene.shapes.star import Star
-    from mvla_sim.scene.shapes.triangle import Triangle
-    from mvla_sim.scene.trajectories.arc import Arc
-    from mvla_sim.scene.trajectories.circle import Circle
-    from mvla_sim.scene.trajectories.line import Line
-    from mvla_sim.scene.trajectories.poses import Poses
-    from mvla_sim.scene.trajectories.positions import Positions
-    from mvla_sim.scene.trajectories.turntable import Turntable
-    from mvla_sim.scene.trajectory import Trajectory
-    from mvla_sim.scene.views import Views
-    from mvla_sim.scene.world import Scene, SceneObject, SceneSettings
+    from mvla_sim.channel.cir import Cir as Cir
+    from mvla_sim.channel.components import Components as Components
+    from mvla_sim.channel.impairments import ImpairmentSettings as ImpairmentSettings
+    from mvla_sim.channel.importing import (
+        ImportSettings as ImportSettings,
+    )
+    from mvla_sim.channel.importing import (
+        import_channel as import_channel,
+    )
+    from mvla_sim.channel.importing import (
+        import_settings as import_settings,
+    )
+    from mvla_sim.channel.loading import load_channel as load_channel
+    from mvla_sim.channel.response import FrequencyResponse as FrequencyResponse
+    from mvla_sim.channel.simulate import simulate as simulate
+    from mvla_sim.channel.synthesis import (
+        SynthesisSettings as SynthesisSettings,
+    )
+    from mvla_sim.channel.synthesis import (
+        synthesize as synthesize,
+    )
+    from mvla_sim.channel.synthesis import (
+        write_sweeps as write_sweeps,
+    )
+    from mvla_sim.dataset.access import open_dataset as open_dataset
+    from mvla_sim.dataset.build import build_dataset as build_dataset
+    from mvla_sim.dataset.campaign import CampaignSettings as CampaignSettings
+    from mvla_sim.dataset.campaign import load_campaign as load_campaign
+    from mvla_sim.dataset.score import score_dataset as score_dataset
+    from mvla_sim.errors import (
+        ConfigError as ConfigError,
+    )
+    from mvla_sim.errors import (
+        DataError as DataError,
+    )
+    from mvla_sim.errors import (
+        MvlaError as MvlaError,
+    )
+    from mvla_sim.errors import (
+        OutputError as OutputError,
+    )
+    from mvla_sim.evaluation.boxes import bounding_box as bounding_box
+    from mvla_sim.evaluation.evaluate import (
+        Evaluation as Evaluation,
+    )
+    from mvla_sim.evaluation.evaluate import (
+        EvaluationSettings as EvaluationSettings,
+    )
+    from mvla_sim.evaluation.evaluate import (
+        evaluate as evaluate,
+    )
+    from mvla_sim.evaluation.metrics import Scores as Scores
+    from mvla_sim.grid import GridSettings as GridSettings
+    from mvla_sim.grid import VoxelGrid as VoxelGrid
+    from mvla_sim.imaging.beam import BeamSettings as BeamSettings
+    from mvla_sim.imaging.detectors.local_maxima import LocalMaxima as LocalMaxima
+    from mvla_sim.imaging.image import Image as Image
+    from mvla_sim.imaging.imaging_settings import (
+        ImagingSettings as ImagingSettings,
+    )
+    from mvla_sim.imaging.imaging_settings import (
+        imaging_settings as imaging_settings,
+    )
+    from mvla_sim.imaging.likelihood import MvlaSettings as MvlaSettings
+    from mvla_sim.imaging.method import Method as Method
+    from mvla_sim.imaging.method import SumOverViews as SumOverViews
+    from mvla_sim.imaging.noise import Noise as Noise
+    from mvla_sim.imaging.noises.complex_gaussian import ComplexNoise as ComplexNoise
+    from mvla_sim.imaging.noises.exponential import ExponentialNoise as ExponentialNoise
+    from mvla_sim.imaging.noises.gaussian import GaussianNoise as GaussianNoise
+    from mvla_sim.imaging.observation import Estimate as Estimate
+    from mvla_sim.imaging.observation import Observation as Observation
+    from mvla_sim.imaging.pdp import Pdp as Pdp
+    from mvla_sim.imaging.pdp import PdpSettings as PdpSettings
+    from mvla_sim.imaging.pdp import compute_pdp as compute_pdp
+    from mvla_sim.imaging.peaks import PeakDetector as PeakDetector
+    from mvla_sim.imaging.peaks import Peaks as Peaks
+    from mvla_sim.imaging.pipeline import observe as observe
+    from mvla_sim.imaging.pipeline import reconstruct as reconstruct
+    from mvla_sim.imaging.projection import RangeProfiles as RangeProfiles
+    from mvla_sim.imaging.threshold_rules.automatic import AutomaticThresholds as AutomaticThresholds
+    from mvla_sim.imaging.threshold_rules.given import GivenThresholds as GivenThresholds
+    from mvla_sim.imaging.thresholds import ThresholdRule as ThresholdRule
+    from mvla_sim.imaging.view_selection import ViewSettings as ViewSettings
+    from mvla_sim.imaging.volumes import export_image as export_image
+    from mvla_sim.listing import list_settings as list_settings
+    from mvla_sim.measured.process import (
+        ProcessSettings as ProcessSettings,
+    )
+    from mvla_sim.measured.process import (
+        load_process as load_process,
+    )
+    from mvla_sim.measured.process import (
+        process as process,
+    )
+    from mvla_sim.plot.curves import plot_curves as plot_curves
+    from mvla_sim.plot.image_figures import plot_comparison as plot_comparison
+    from mvla_sim.plot.image_figures import plot_image as plot_image
+    from mvla_sim.plot.scene_figures import plot_scene as plot_scene
+    from mvla_sim.plot.style import save_figure as save_figure
+    from mvla_sim.plot.volume_figure import plot_volume as plot_volume
+    from mvla_sim.plot.waterfall import plot_waterfall as plot_waterfall
+    from mvla_sim.scene.antenna import Antenna as Antenna
+    from mvla_sim.scene.antenna import AntennaPattern as AntennaPattern
+    from mvla_sim.scene.antennas.cuts import PatternCuts as PatternCuts
+    from mvla_sim.scene.antennas.horn import Horn as Horn
+    from mvla_sim.scene.antennas.omni import Omni as Omni
+    from mvla_sim.scene.antennas.pattern_file import PatternFile as PatternFile
+    from mvla_sim.scene.material import CustomMaterial as CustomMaterial
+    from mvla_sim.scene.material import ScatteringPattern as ScatteringPattern
+    from mvla_sim.scene.pointing import PointingSettings as PointingSettings
+    from mvla_sim.scene.radio import RadioSettings as RadioSettings
+    from mvla_sim.scene.radio import RayTracingSettings as RayTracingSettings
+    from mvla_sim.scene.shape import Prism as Prism
+    from mvla_sim.scene.shape import Shape as Shape
+    from mvla_sim.scene.shapes.car import Car as Car
+    from mvla_sim.scene.shapes.cylinder import Cylinder as Cylinder
+    from mvla_sim.scene.shapes.mesh_file import MeshFile as MeshFile
+    from mvla_sim.scene.shapes.polygon import Polygon as Polygon
+    from mvla_sim.scene.shapes.rectangle import Rectangle as Rectangle
+    from mvla_sim.scene.shapes.square import Square as Square
+    from mvla_sim.scene.shapes.star import Star as Star
+    from mvla_sim.scene.shapes.triangle import Triangle as Triangle
+    from mvla_sim.scene.trajectories.arc import Arc as Arc
+    from mvla_sim.scene.trajectories.circle import Circle as Circle
+    from mvla_sim.scene.trajectories.line import Line as Line
+    from mvla_sim.scene.trajectories.poses import Poses as Poses
+    from mvla_sim.scene.trajectories.positions import Positions as Positions
+    from mvla_sim.scene.trajectories.turntable import Turntable as Turntable
+    from mvla_sim.scene.trajectory import Trajectory as Trajectory
+    from mvla_sim.scene.views import Views as Views
+    from mvla_sim.scene.world import (
+        Scene as Scene,
+    )
+    from mvla_sim.scene.world import (
+        SceneObject as SceneObject,
+    )
+    from mvla_sim.scene.world import (
+        SceneSettings as SceneSettings,
+    )
+    from mvla_sim.scene.world import (
+        load_scene as load_scene,
+    )
+    from mvla_sim.sweep.experiment import ExperimentSettings as ExperimentSettings
+    from mvla_sim.sweep.experiment import load_experiment as load_experiment
+    from mvla_sim.sweep.run import run_experiment as run_experiment
+    from mvla_sim.sweep.table import load_table as load_table
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "Antenna": "scene.antenna",
-    "AntennaPattern": "scene.antenna",
-    "Arc": "scene.trajectories.arc",
-    "Car": "scene.shapes.car",
-    "Cir": "channel.cir",
-    "Circle": "scene.trajectories.circle",
-    "Components": "channel.components",
-    "CustomMaterial": "scene.material",
-    "Cylinder": "scene.shapes.cylinder",
-    "EvaluationSettings": "evaluation.evaluate",
-    "FrequencyResponse": "channel.response",
-    "Horn": "scene.antennas.horn",
-    "Image": "imaging.image",
-    "ImagingSettings": "imaging.imaging_settings",
-    "Line": "scene.trajectories.line",
-    "MeshFile": "scene.shapes.mesh_file",
-    "MvlaError": "errors",
-    "Observation": "imaging.observation",
-    "Omni": "scene.antennas.omni",
-    "PatternCuts": "scene.antennas.cuts",
-    "PatternFile": "scene.antennas.pattern_file",
-    "PointingSettings": "scene.pointing",
-    "Polygon": "scene.shapes.polygon",
-    "Poses": "scene.trajectories.poses",
-    "Positions": "scene.trajectories.positions",
-    "Prism": "scene.shape",
-    "RadioSettings": "scene.radio",
-    "RayTracingSettings": "scene.radio",
-    "Rectangle": "scene.shapes.rectangle",
-    "ScatteringPattern": "scene.material",
-    "Scene": "scene.world",
-    "SceneObject": "scene.world",
-    "SceneSettings": "scene.world",
-    "Shape": "scene.shape",
-    "Square": "scene.shapes.square",
-    "Star": "scene.shapes.star",
-    "Trajectory": "scene.trajectory",
-    "Triangle": "scene.shapes.triangle",
-    "Turntable": "scene.trajectories.turntable",
-    "Views": "scene.views",
-    "bounding_box": "evaluation.boxes",
-    "build_dataset": "dataset.build",
-    "evaluate": "evaluation.evaluate",
-    "export_image": "imaging.volumes",
-    "imaging_settings": "imaging.imaging_settings",
-    "import_channel": "channel.importing",
-    "import_settings": "channel.importing",
-    "list_settings": "listing",
-    "load_channel": "channel.loading",
-    "load_process": "measured.process",
-    "observe": "imaging.pipeline",
-    "open_dataset": "dataset.access",
-    "plot_comparison": "plot.image_figures",
-    "plot_curves": "plot.curves",
-    "plot_image": "plot.image_figures",
-    "plot_scene": "plot.scene_figures",
-    "plot_waterfall": "plot.waterfall",
-    "process": "measured.process",
-    "reconstruct": "imaging.pipeline",
-    "save_figure": "plot.style",
-    "score_dataset": "dataset.score",
-    "simulate": "channel.simulate",
-    "synthesize": "channel.synthesis",
-    "write_sweeps": "channel.synthesis",
+_PUBLIC = {
+    "channel.cir": "Cir",
+    "channel.components": "Components",
+    "channel.impairments": "ImpairmentSettings",
+    "channel.importing": "ImportSettings import_channel import_settings",
+    "channel.loading": "load_channel",
+    "channel.response": "FrequencyResponse",
+    "channel.simulate": "simulate",
+    "channel.synthesis": "SynthesisSettings synthesize write_sweeps",
+    "dataset.access": "open_dataset",
+    "dataset.build": "build_dataset",
+    "dataset.campaign": "CampaignSettings load_campaign",
+    "dataset.score": "score_dataset",
+    "errors": "ConfigError DataError MvlaError OutputError",
+    "evaluation.boxes": "bounding_box",
+    "evaluation.evaluate": "Evaluation EvaluationSettings evaluate",
+    "evaluation.metrics": "Scores",
+    "grid": "GridSettings VoxelGrid",
+    "imaging.beam": "BeamSettings",
+    "imaging.detectors.local_maxima": "LocalMaxima",
+    "imaging.image": "Image",
+    "imaging.imaging_settings": "ImagingSettings imaging_settings",
+    "imaging.likelihood": "MvlaSettings",
+    "imaging.method": "Method SumOverViews",
+    "imaging.noise": "Noise",
+    "imaging.noises.complex_gaussian": "ComplexNoise",
+    "imaging.noises.exponential": "ExponentialNoise",
+    "imaging.noises.gaussian": "GaussianNoise",
+    "imaging.observation": "Estimate Observation",
+    "imaging.pdp": "Pdp PdpSettings compute_pdp",
+    "imaging.peaks": "PeakDetector Peaks",
+    "imaging.pipeline": "observe reconstruct",
+    "imaging.projection": "RangeProfiles",
+    "imaging.threshold_rules.automatic": "AutomaticThresholds",
+    "imaging.threshold_rules.given": "GivenThresholds",
+    "imaging.thresholds": "ThresholdRule",
+    "imaging.view_selection": "ViewSettings",
+    "imaging.volumes": "export_image",
+    "listing": "list_settings",
+    "measured.process": "ProcessSettings load_process process",
+    "plot.curves": "plot_curves",
+    "plot.image_figures": "plot_comparison plot_image",
+    "plot.scene_figures": "plot_scene",
+    "plot.style": "save_figure",
+    "plot.volume_figure": "plot_volume",
+    "plot.waterfall": "plot_waterfall",
+    "scene.antenna": "Antenna AntennaPattern",
+    "scene.antennas.cuts": "PatternCuts",
+    "scene.antennas.horn": "Horn",
+    "scene.antennas.omni": "Omni",
+    "scene.antennas.pattern_file": "PatternFile",
+    "scene.material": "CustomMaterial ScatteringPattern",
+    "scene.pointing": "PointingSettings",
+    "scene.radio": "RadioSettings RayTracingSettings",
+    "scene.shape": "Prism Shape",
+    "scene.shapes.car": "Car",
+    "scene.shapes.cylinder": "Cylinder",
+    "scene.shapes.mesh_file": "MeshFile",
+    "scene.shapes.polygon": "Polygon",
+    "scene.shapes.rectangle": "Rectangle",
+    "scene.shapes.square": "Square",
+    "scene.shapes.star": "Star",
+    "scene.shapes.triangle": "Triangle",
+    "scene.trajectories.arc": "Arc",
+    "scene.trajectories.circle": "Circle",
+    "scene.trajectories.line": "Line",
+    "scene.trajectories.poses": "Poses",
+    "scene.trajectories.positions": "Positions",
+    "scene.trajectories.turntable": "Turntable",
+    "scene.trajectory": "Trajectory",
+    "scene.views": "Views",
+    "scene.world": "Scene SceneObject SceneSettings load_scene",
+    "sweep.experiment": "ExperimentSettings load_experiment",
+    "sweep.run": "run_experiment",
+    "sweep.table": "load_table",
 }
+"""Public names by the module that holds them, as type checkers see them above."""
+_HOMES = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
-__all__ = [
-    "Antenna",
-    "AntennaPattern",
-    "Arc",
-    "Car",
-    "Cir",
-    "Circle",
-    "Components",
-    "CustomMaterial",
-    "Cylinder",
-    "EvaluationSettings",
-    "FrequencyResponse",
-    "Horn",
-    "Image",
-    "ImagingSettings",
-    "Line",
-    "MeshFile",
-    "MvlaError",
-    "Observation",
-    "Omni",
-    "PatternCuts",
-    "PatternFile",
-    "PointingSettings",
-    "Polygon",
-    "Poses",
-    "Positions",
-    "Prism",
-    "RadioSettings",
-    "RayTracingSettings",
-    "Rectangle",
-    "ScatteringPattern",
-    "Scene",
-    "SceneObject",
-    "SceneSettings",
-    "Shape",
-    "Square",
-    "Star",
-    "Trajectory",
-    "Triangle",
-    "Turntable",
-    "Views",
-    "bounding_box",
-    "build_dataset",
-    "evaluate",
-    "export_image",
-    "imaging_settings",
-    "import_channel",
-    "import_settings",
-    "list_settings",
-    "load_channel",
-    "load_process",
-    "observe",
-    "open_dataset",
-    "plot_comparison",
-    "plot_curves",
-    "plot_image",
-    "plot_scene",
-    "plot_waterfall",
-    "process",
-    "reconstruct",
-    "save_figure",
-    "score_dataset",
-    "simulate",
-    "synthesize",
-    "write_sweeps",
-]
+__all__ = [*sorted(_HOMES, key=lambda name: (name[0].islower(), name))]
 
 
 def _choose_libllvm() -> None:

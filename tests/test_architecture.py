@@ -8,6 +8,7 @@ import importlib
 import re
 import subprocess
 import sys
+from collections import Counter, defaultdict
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -141,6 +142,23 @@ def test_public_names_exist_and_are_sorted(path):
     assert public == sorted(set(public), key=lambda name: (not name.isupper(), name[0].islower(), name))
     if path.name != "__init__.py":
         assert public, "every module says what is public in it"
+
+
+def test_no_two_modules_share_a_name():
+    """Nor a module and a package: who reads ``thresholds.py`` in a traceback knows which."""
+    names = [path.parent.name if path.name == "__init__.py" else path.stem for path in MODULES]
+    assert [name for name, count in Counter(names).items() if count > 1] == []
+
+
+def test_no_two_public_types_share_a_name():
+    homes = defaultdict(set)
+    for path in MODULES:
+        module = importlib.import_module(dotted(path))
+        public = {name: getattr(module, name) for name in getattr(module, "__all__", ())}
+        for name, value in public.items():
+            if isinstance(value, type):
+                homes[name].add(f"{value.__module__}.{value.__qualname__}")
+    assert {name: found for name, found in homes.items() if len(found) > 1} == {}
 
 
 @for_each(MODULES)

@@ -6,20 +6,29 @@ import os
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import pytest
+import shapely
+
+sys.path.append(str(Path(__file__).parent / "imaging"))
+from cases import ring, scatterers
 
 KINDS = {
-    "mvla_sim.shapes": ("cross", "Cross"),
-    "mvla_sim.trajectories": ("spiral", "Spiral"),
-    "mvla_sim.antennas": ("patch", "Patch"),
+    "mvla_sim.shapes": {"cross": "Cross"},
+    "mvla_sim.trajectories": {"spiral": "Spiral"},
+    "mvla_sim.antennas": {"patch": "Patch"},
+    "mvla_sim.noises": {"uniform": "Uniform"},
+    "mvla_sim.methods": {"loudest": "Loudest", "flat": "flat"},
 }
-"""What the package offers: name and class by group."""
+"""What the package offers: classes, and a function, by name and group."""
 
 MODULE = '''
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 import mvla_sim as mv
 
@@ -59,6 +68,35 @@ class Patch(mv.Antenna):
 
     def pattern(self):
         return mv.Horn(azimuth_beamwidth_deg=90, shape="cosine").pattern()
+
+
+class Uniform(mv.Noise):
+    """As much anywhere below a level."""
+
+    kind: Literal["uniform"] = "uniform"
+    level: float = Field(1.0, gt=0, description="above the mean")
+
+    def drawn(self, pdp, ratio, generators):
+        draw = np.array([generator.random(pdp.power.shape[1]) for generator in generators])
+        scale = self.level * np.sqrt(self.mean_over_gate(pdp.power**2) / ratio)
+        return replace(pdp, power=pdp.power + scale[:, None] * draw, amplitude=None)
+
+
+class Loudest(mv.Method):
+    """Nothing but the strongest power of all, to a power."""
+
+    name = "loudest"
+    title = "Loudest"
+    uses_pdp = True
+    uses_peaks = False
+    exponent: float = Field(1.0, gt=0, description="of the power")
+
+    def image(self, seen):
+        return mv.Estimate(np.full(seen.grid.shape, seen.pdp.power.max() ** self.exponent, np.float32))
+
+
+def flat(seen, level: float = 1.0):
+    return np.full(seen.grid.shape, level)
 '''
 
 SCENE = """
@@ -96,6 +134,72 @@ except mv.MvlaError as error:
 """
 
 
+EXPERIMENT = """
+name = "outside"
+channels = ["cir.nc"]
+imaging.noise = { kind = "uniform", level = 0.5 }
+imaging.grid = { size_m = [2.0, 2.0, 0.0], spacing_m = 0.5 }
+imaging.loudest.exponent = 2.0
+imaging.flat.level = 3.0
+axes.method = ["bp", "loudest", "flat"]
+"""
+
+METHODS = """
+import os
+import sys
+
+import numpy as np
+
+import mvla_sim as mv
+from mvla_sim.cli.app import run
+
+cir, folder = mv.load_channel("cir.nc"), sys.argv[1]
+grid = {"size_m": [2.0, 2.0, 0.0], "spacing_m": 0.5}
+
+
+def refused(*overrides, **values):
+    try:
+        mv.imaging_settings(overrides, **values)
+    except mv.MvlaError as error:
+        return str(error)
+
+
+# TOML: an experiment, whose cases have the settings of each method
+table = mv.run_experiment(mv.load_experiment("outside.toml"), "out", workers=0)
+assert list(table["status"]) == ["done"] * 3, table["error"].tolist()
+
+# the command line, which knows them by name
+small = ["--set", "grid.size_m=[2,2,0]", "--set", "grid.spacing_m=0.5"]
+noisy = ["--set", "noise.kind=uniform", "--set", "noise.level=0.5"]
+assert run(["image", "cir.nc", "-o", "a.nc", "--method", "loudest", "--set", "loudest.exponent=2", *noisy, *small]) == 0
+assert run(["image", "cir.nc", "-o", "b.nc", "--method", "flat", "--set", "imaging.flat.level=3", *small]) == 0
+loudest, flat = mv.Image.load("a.nc"), mv.Image.load("b.nc")
+assert (loudest.method, flat.method, flat.score.max()) == ("loudest", "flat", 3)
+
+# Python: by name and table, and by the class and the function themselves
+noise = {"kind": "uniform", "level": 0.5}
+made = mv.reconstruct(cir, method="loudest", loudest={"exponent": 2.0}, noise=noise, grid=grid)
+assert np.array_equal(made.score, loudest.score)
+from outside import Loudest, Uniform, flat as function
+
+own = mv.reconstruct(cir, method="loudest", loudest=Loudest(exponent=2), noise=Uniform(level=0.5), grid=grid)
+assert np.array_equal(own.score, loudest.score)
+silent = mv.reconstruct(cir, method="loudest", loudest=Loudest(exponent=2), snr_db=None, grid=grid)
+assert own.score.max() > silent.score.max()
+assert mv.reconstruct(cir, method=function, flat={"level": 3}, grid=grid).score.max() == 3
+assert str(mv.imaging_settings(method="loudest", loudest=Loudest(exponent=2)).chosen) == "Loudest(exponent=2.0)"
+
+# what is wrong is told as of this package's own
+assert "loudest.exponent = -1: should be greater than 0" in refused("loudest.exponent=-1", method="loudest")
+assert "loudest.exponnt: unknown key (did you mean 'exponent'?)" in refused(method="loudest", loudest={"exponnt": 1})
+assert "flat.level = 'x': should be a valid number" in refused("flat.level=x", method="flat")
+assert "noise.level = 0: should be greater than 0" in refused(noise={"kind": "uniform", "level": 0})
+assert "did you mean 'uniform'?" in refused(noise={"kind": "unifrom"})
+keys = [setting.key for setting in mv.list_settings("loudest")]
+assert keys == ["loudest.exponent"], keys
+"""
+
+
 @pytest.fixture
 def package(tmp_path):
     """A folder with the package, as an installer leaves it."""
@@ -104,8 +208,9 @@ def package(tmp_path):
     about.mkdir(parents=True)
     (folder / "outside.py").write_text(MODULE)
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: outside\nVersion: 1.0\n")
-    groups = (f"[{group}]\n{name} = outside:{cls}\n" for group, (name, cls) in KINDS.items())
-    (about / "entry_points.txt").write_text("\n".join(groups))
+    lines = [line for group, offered in KINDS.items()
+             for line in (f"[{group}]", *(f"{name} = outside:{value}" for name, value in offered.items()))]  # fmt: skip
+    (about / "entry_points.txt").write_text("\n".join(lines))
     return folder
 
 
@@ -120,6 +225,13 @@ def test_shapes_trajectories_and_antennas_of_another_package(package, tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE)
     child = run(package, PYTHON, scene)
+    assert child.returncode == 0, child.stderr
+
+
+def test_noise_and_methods_with_settings_of_another_package(package, tmp_path):
+    scatterers([[0.5, 0.25, 0.0]], ring(12), outline=shapely.box(-0.5, -0.5, 0.5, 0.5)).save(tmp_path / "cir.nc")
+    (tmp_path / "outside.toml").write_text(EXPERIMENT)
+    child = run(package, METHODS, tmp_path)
     assert child.returncode == 0, child.stderr
 
 
