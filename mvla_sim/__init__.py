@@ -265,7 +265,7 @@ _PUBLIC = {
 """Public names by the module that holds them, as type checkers see them above."""
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
-__all__ = [*sorted(_HOMES, key=lambda name: (name[0].islower(), name))]
+__all__ = sorted(_HOMES, key=lambda name: (name[0].islower(), name))  # noqa: PLE0605 - a list, of the names above
 
 
 def _choose_libllvm() -> None:

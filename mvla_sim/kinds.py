@@ -6,6 +6,7 @@ package; other packages offer theirs as an entry point of the group; a script or
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import hashlib
 import importlib
@@ -122,6 +123,14 @@ class Kinds(Generic[K]):
         self._load_own()
         found = sorted(self._classes.items())
         return tuple(cls for _, cls in found if cls.__module__.startswith(OWN))
+
+    def installed(self) -> tuple[type[K], ...]:
+        """This package's classes, then those that installed packages offer; without those that cannot be imported."""
+        found = list(self.own())
+        for point in self._points():
+            with contextlib.suppress(ConfigError):
+                found.append(self.find(point.name))
+        return tuple(dict.fromkeys(found))
 
     def find(self, name: str) -> type[K]:
         """Return the class of a name.

@@ -19,6 +19,8 @@ from mvla_sim.distributions import Drawn
 from mvla_sim.errors import ConfigError
 from mvla_sim.evaluation.evaluate import EvaluationSettings
 from mvla_sim.imaging.imaging_settings import ImagingSettings
+from mvla_sim.imaging.method import METHODS
+from mvla_sim.imaging.methods.functions import names_a_file
 from mvla_sim.kinds import Kinds
 from mvla_sim.measured.process import ProcessSettings
 from mvla_sim.scene.world import SceneSettings
@@ -66,15 +68,19 @@ def list_settings(*words: str) -> list[Setting]:
     Parameters
     ----------
     *words
-        Each a group (``scene``), or a part of a key, as ``peaks`` or ``snr``.
+        Each a group (``scene``), a part of a key, as ``peaks`` or ``snr``, or a method of a file, ``file.py:function``.
 
     Raises
     ------
     ConfigError
-        There is no such setting.
+        There is no such setting, or method.
     """
     found = [Setting(group, *row) for group, model in GROUPS.items() for row in _rows(model, "", (model,))]
     for word in words:
+        if names_a_file(word):
+            method = METHODS.find(word)
+            found = [Setting("imaging", *row) for row in _rows(method, f"{method.block_name()}.", (method,))]
+            continue
         found = [entry for entry in found if (entry.group == word if word in GROUPS else word in entry.key)]
         if not found:
             raise ConfigError(f"no setting has {' and '.join(map(repr, words))}; {_hint(word)}")
@@ -146,7 +152,7 @@ def _shape(annotation: Any, metadata: tuple[Any, ...] = ()) -> _Shape:
     origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
     kinds = next((item for item in metadata if isinstance(item, Kinds)), None)
     if kinds is not None:
-        found = _Shape(kinds.own(), kinds.key, values=kinds.short)
+        found = _Shape(kinds.installed(), kinds.key, values=kinds.short)
     elif any(isinstance(item, Drawn) for item in metadata):
         found = _Shape(values=True, notes=(*_shape(annotation).notes, "or a distribution"))
     elif isinstance(annotation, type) and issubclass(annotation, BaseModel):

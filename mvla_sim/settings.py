@@ -46,6 +46,9 @@ class Settings(BaseModel):
         except ValidationError as error:
             raise ConfigError(f"{type(self).__name__}: {describe(error, type(self), values)}") from error
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise ConfigError(f"{type(self).__name__}: {name} cannot be changed; settings are fixed, make others")
+
     def __repr__(self) -> str:
         told = [
             f"{name}={SHORT.repr(getattr(self, name))}"
@@ -245,13 +248,21 @@ def _describe_one(item: ErrorDetails, model: type[BaseModel], data: Any) -> str:
     if item["type"] == "extra_forbidden":
         allowed = sorted(field.alias or name for name, field in parent.model_fields.items()) if parent else []
         allowed += list(getattr(parent, "extra_models", dict)())
-        close = difflib.get_close_matches(str(item["loc"][-1]), allowed, n=1)
-        hint = f" (did you mean '{close[0]}'?)" if close else ""
+        inside = _inside(parent) | dict(zip(allowed, allowed, strict=True))
+        close = difflib.get_close_matches(str(item["loc"][-1]), inside, n=1)
+        hint = f" (did you mean '{inside[close[0]]}'?)" if close else ""
         return f"{path}: unknown key{hint}" + (f"; allowed: {', '.join(allowed)}" if allowed else "")
     if item["type"] == "missing":
         return f"{path}: missing key"
     message = item["msg"].removeprefix("Value error, ").removeprefix("Input ")
     return f"{path}{shown}: {message}" if path else message
+
+
+def _inside(model: type[BaseModel] | None) -> dict[str, str]:
+    """Keys one table further in by their last part, as "noise.snr_db" by "snr_db"."""
+    blocks = model.model_fields.items() if model else ()
+    return {name: f"{block}.{name}" for block, field in blocks
+            for name in getattr(type(field.default), "model_fields", ())}  # fmt: skip
 
 
 def _walk(model: type[BaseModel], location: tuple[int | str, ...], data: Any) -> tuple[type[BaseModel] | None, str]:

@@ -82,3 +82,11 @@ def test_the_command_cuts_nothing(capsys, monkeypatch, columns):
     assert re.search(r"\[from, to\]: views", text)
     assert run(["settings", "scene", "trajectory"]) == 0
     assert "noise" not in capsys.readouterr().out
+
+
+def test_a_method_of_a_file_is_listed(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text("def image(seen, level: float = 2.0):\n    return seen.grid\n")
+    assert list_settings(str(file)) == [("imaging", "mine.level", "2.0", "")]
+    with pytest.raises(ConfigError, match=r"no\.py cannot be read"):
+        list_settings(str(tmp_path / "no.py"))

@@ -195,8 +195,11 @@ assert "loudest.exponnt: unknown key (did you mean 'exponent'?)" in refused(meth
 assert "flat.level = 'x': should be a valid number" in refused("flat.level=x", method="flat")
 assert "noise.level = 0: should be greater than 0" in refused(noise={"kind": "uniform", "level": 0})
 assert "did you mean 'uniform'?" in refused(noise={"kind": "unifrom"})
-keys = [setting.key for setting in mv.list_settings("loudest")]
-assert keys == ["loudest.exponent"], keys
+listed = {setting.key: setting for setting in mv.list_settings("imaging")}
+assert listed["loudest.exponent"][2:] == ("1.0", "of the power"), listed
+assert listed["noise.level"].meaning == "uniform: above the mean"
+assert "spiral" in mv.list_settings("scene", "trajectory.kind")[0].meaning
+assert "flat.level" in listed
 """
 
 

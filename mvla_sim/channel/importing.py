@@ -204,6 +204,8 @@ def import_channel(settings: ImportSettings) -> Channel:
     ConfigError, DataError
         One line that names the file or setting, its value and what is allowed.
     """
+    if not isinstance(settings, ImportSettings):
+        raise ConfigError(f"settings: {type(settings).__name__} is no ImportSettings; see import_settings")
     kind = settings.kind or source_kind(settings.source)
     found = settings.reader(kind).read(Path(settings.source), GivenRadio(settings.carrier_hz, settings.bandwidth_hz))
     settings.antenna.pattern()  # read now: the channel holds it, though its file may go

@@ -38,7 +38,10 @@ def doctor() -> None:
 @machine_app.command()
 def settings(
     words: Annotated[
-        list[str] | None, typer.Argument(metavar="[WORD]...", help="Only these: scene, imaging, …, or a part of keys.")
+        list[str] | None,
+        typer.Argument(
+            metavar="[WORD]...", help="Only these: scene, imaging, …, a part of keys, or a method file.py:function."
+        ),
     ] = None,
 ) -> None:
     """List every setting with its default and meaning: all, a group, or those whose key has a word in it."""

@@ -107,8 +107,8 @@ class ImagingSettings(Settings):
 
     @classmethod
     def extra_models(cls) -> dict[str, type[Method]]:
-        """This package's methods that have settings, by the names of their tables."""
-        return {method.block_name(): method for method in METHODS.own() if method.model_fields}
+        """The methods that have settings, but for those of files, by the names of their tables."""
+        return {method.block_name(): method for method in METHODS.installed() if method.model_fields}
 
     @property
     def chosen(self) -> Method:

@@ -18,17 +18,20 @@ class MethodKinds(Kinds["Method"]):
     """The methods: classes, and the functions of :mod:`mvla_sim.imaging.methods.functions`."""
 
     def block(self, key: str, chosen: str) -> type[Method] | None:
-        """The method whose settings stand under ``[imaging.KEY]`` where the method ``chosen`` is used; None for none's.
+        """The method whose settings stand under ``[imaging.KEY]``; None for none's.
+
+        It is the one that is chosen, or another that is found by its name alone.
 
         Raises
         ------
         ConfigError
             As :meth:`find`, of the method that is chosen.
         """
-        used = self.find(chosen)
-        if used.block_name() == key:
-            return used
-        return next((method for method in self.own() if method.block_name() == key), None)
+        for method in (self.find(chosen), *self.own()):
+            if method.block_name() == key:
+                return method
+        other = self.find(key) if key in self.names() else None  # sweeps have the settings of several
+        return other if other is not None and other.block_name() == key else None
 
 
 METHODS: Final = MethodKinds("method", "mvla_sim.methods", "mvla_sim.imaging.methods", key=None)

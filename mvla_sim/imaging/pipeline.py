@@ -338,6 +338,8 @@ def reconstruct(
 def _given(settings: ImagingSettings | None, method: Any, values: dict[str, Any]) -> ImagingSettings:
     if settings is None:
         return imaging_settings(method=method, **values)
+    if not isinstance(settings, ImagingSettings):
+        raise ConfigError(f"settings: {type(settings).__name__} is no ImagingSettings; see imaging_settings")
     if method is not None or values:
         names = ", ".join([*(["method"] if method is not None else []), *values])
         raise ConfigError(f"settings are given, and {names} beside them; give one or the other")
@@ -346,4 +348,6 @@ def _given(settings: ImagingSettings | None, method: Any, values: dict[str, Any]
 
 def _started(channel: Channel, settings: ImagingSettings) -> Pipeline:
     """The stages behind the profiles of the views that an image needs."""
+    if not isinstance(channel, Channel):
+        raise ConfigError(f"channel: {type(channel).__name__} is no channel; for a file: load_channel")
     return Pipeline(profile_channel(channel, settings, views_needed(channel.views, settings)))

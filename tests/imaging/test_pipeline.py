@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging import pipeline
 from mvla_sim.imaging.imaging_settings import imaging_settings
+from mvla_sim.imaging.pdp import compute_pdp
 from mvla_sim.imaging.pipeline import observe, reconstruct
 from mvla_sim.imaging.thresholds import joint_threshold
 from mvla_sim.imaging.view_selection import ViewSettings, select_views
@@ -47,6 +49,24 @@ def test_random_phase_per_view_changes_nothing(method):
     if method != "bp":
         # A peak's range moves by 1e-6 of a sample, and voxels on the edge of R_T with it.
         assert (one.support_deg == other.support_deg).mean() > 0.999
+
+
+@pytest.mark.parametrize("method", ["mvla-gr", "bp", "mlem"])
+def test_profiles_are_computed_of_the_views_that_are_used_alone(method, monkeypatch):
+    """Noise whose power is that of all views needs them all."""
+    computed = []
+
+    def counting(channel, settings, gate_m, views):
+        found = compute_pdp(channel, settings, gate_m, views)
+        computed.append(len(found.power))
+        return found
+
+    monkeypatch.setattr(pipeline, "compute_pdp", counting)
+    cir = scatterers(POINTS, ring(72))
+    assert reconstruct(cir, options(method=method, interval_deg=10)).n_view == 36
+    assert observe(cir, options(method=method, interval_deg=40)).pdp.power.shape[0] == 9
+    reconstruct(cir, options(method=method, interval_deg=10, **{"noise.reference": "all"}))
+    assert computed == [36, 9, 72]
 
 
 @settings(max_examples=10)

@@ -11,14 +11,23 @@ import pytest
 from sweep_files import SCENE, experiment, write
 
 from mvla_sim.errors import ConfigError
+from mvla_sim.evaluation.evaluate import EvaluationSettings
+from mvla_sim.imaging.imaging_settings import imaging_settings
 from mvla_sim.imaging.view_selection import select_views
+from mvla_sim.sweep.case import Case
 from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import expand
-from mvla_sim.sweep.schedule import groups_of
+from mvla_sim.sweep.schedule import case_seconds, groups_of
 
 
 def keys(folder, axes, *overrides, **others):
     return {case.key for case in expand(experiment(folder, axes, overrides=overrides), **others).cases}
+
+
+def case_of(**values):
+    """A case of such imaging settings, on a grid so fine that projecting takes the most of its time."""
+    settings = imaging_settings(**({"spacing_m": 0.02} | values))
+    return Case(0, None, settings, EvaluationSettings(), "", "", {})
 
 
 def test_cases_are_the_product_in_the_order_of_the_file(tmp_path):
@@ -219,3 +228,21 @@ def test_variants_may_be_in_a_file_of_their_own(tmp_path):
 def test_bad_variants_are_refused(tmp_path, more, message):
     with pytest.raises(ConfigError, match=message):
         expand(experiment(tmp_path, more=more))
+
+
+@pytest.mark.parametrize(("method", "block"), [("mlem", "mlem"), ("nnls", "nnls"), ("mvla-em", "em"), ("carving", "")])
+def test_the_estimate_of_time_knows_the_iterations_of_a_method(method, block):
+    """Ten times the steps take about ten times as long, and a hundred projections longer than one."""
+    once = case_seconds(case_of(method="bp"), 36)
+    if not block:  # it projects twice and has no steps
+        assert case_seconds(case_of(method=method), 36) > once
+        return
+    few, many = (case_seconds(case_of(method=method, **{f"{block}.iterations": n}), 36) for n in (100, 1000))
+    assert few > once
+    assert many / few == pytest.approx(10, rel=0.3)
+
+
+def test_the_estimate_of_time_grows_with_views_and_voxels():
+    whole = case_seconds(case_of(), 360)
+    assert case_seconds(case_of(interval_deg=10.0), 360) < whole
+    assert case_seconds(case_of(spacing_m=0.05), 360) < whole
