@@ -6,7 +6,7 @@ import json
 import math
 import operator
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Self
 
 import numpy as np
 from pydantic import (
@@ -33,10 +33,15 @@ Weight = Annotated[float, Field(gt=0, le=1e12)]
 Weights = Annotated[tuple[Weight, ...] | None, Field(description="by default all choices are equally likely")]
 
 
-class _UniformBase(Settings):
+class Uniform(Settings):
+    """Any value from ``min`` to ``max``, all equally likely."""
+
+    min: float
+    max: float
+
     @model_validator(mode="after")
-    def _check(self) -> Any:
-        low, high = self.min, self.max  # type: ignore[attr-defined]
+    def _check(self) -> Self:
+        low, high = self.min, self.max
         if not low < high:
             raise ValueError(f"min = {low:g} must be below max = {high:g}; for one value write the number alone")
         if not math.isfinite(high - low):
@@ -44,54 +49,42 @@ class _UniformBase(Settings):
         return self
 
 
-class _ChoiceBase(Settings):
-    @model_validator(mode="after")
-    def _check(self) -> Any:
-        choices, weights = self.choices, self.weights  # type: ignore[attr-defined]
-        if weights is not None and len(weights) != len(choices):
-            raise ValueError(f"weights has {len(weights)} entries for {len(choices)} choices")
-        return self
-
-
-class Uniform(_UniformBase):
-    """Any value from ``min`` to ``max``, all equally likely."""
-
-    min: float
-    max: float
-
-
-class Choice(_ChoiceBase):
-    """One of the numbers listed."""
-
-    choices: Annotated[tuple[float, ...], Field(min_length=1)]
-    weights: Weights = None
-
-
-class WholeUniform(_UniformBase):
+class WholeUniform(Uniform):
     """Any whole number from ``min`` to ``max``, both included."""
 
     min: int
     max: int
 
 
-class WholeChoice(_ChoiceBase):
+class Choice(Settings):
+    """One of the numbers listed."""
+
+    choices: Annotated[tuple[float, ...], Field(min_length=1)]
+    weights: Weights = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.weights is not None and len(self.weights) != len(self.choices):
+            raise ValueError(f"weights has {len(self.weights)} entries for {len(self.choices)} choices")
+        return self
+
+
+class WholeChoice(Choice):
     """One of the whole numbers listed."""
 
     choices: Annotated[tuple[int, ...], Field(min_length=1)]
-    weights: Weights = None
 
 
-class TextChoice(_ChoiceBase):
+class TextChoice(Choice):
     """One of the texts listed."""
 
-    choices: Annotated[tuple[str, ...], Field(min_length=1)]
-    weights: Weights = None
+    choices: Annotated[tuple[str, ...], Field(min_length=1)]  # type: ignore[assignment]
 
 
 class Drawn:
     """Annotation of a setting that is one value, or a table of a distribution: ``{min, max}`` or ``{choices}``."""
 
-    def __init__(self, choice: type[_ChoiceBase], uniform: type[_UniformBase] | None = None) -> None:
+    def __init__(self, choice: type[Choice], uniform: type[Uniform] | None = None) -> None:
         self.choice = choice
         self.uniform = uniform
 
@@ -105,7 +98,7 @@ class Drawn:
         """Validate a table as its distribution, and anything else as the type that is annotated."""
 
         def validated(value: Any, plain: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
-            if isinstance(value, _UniformBase | _ChoiceBase):
+            if isinstance(value, Uniform | Choice):
                 return value
             model = self.model_of(value)
             if model is None:
@@ -131,10 +124,10 @@ Whole = Annotated[int, Drawn(WholeChoice, WholeUniform)]
 
 def values_of(distribution: Any) -> tuple[Any, ...]:
     """Every value of a fixed or listed distribution, and the two ends of a uniform one."""
-    if isinstance(distribution, _ChoiceBase):
-        return tuple(distribution.choices)  # type: ignore[attr-defined]
-    if isinstance(distribution, _UniformBase):
-        return distribution.min, distribution.max  # type: ignore[attr-defined]
+    if isinstance(distribution, Choice):
+        return distribution.choices
+    if isinstance(distribution, Uniform):
+        return distribution.min, distribution.max
     return (distribution,)
 
 
@@ -144,14 +137,14 @@ def draw(distribution: Any, random: np.random.Generator) -> Any:
     Rounding makes the value the same on machines whose arithmetic differs in the last bit.
     """
     share = random.random()
+    if isinstance(distribution, WholeUniform):
+        return min(distribution.min + int(share * (distribution.max - distribution.min + 1)), distribution.max)
     if isinstance(distribution, Uniform):
         value = round(distribution.min + (distribution.max - distribution.min) * share, DECIMALS)
         return min(max(value, distribution.min), distribution.max)
-    if isinstance(distribution, WholeUniform):
-        return min(distribution.min + int(share * (distribution.max - distribution.min + 1)), distribution.max)
-    if isinstance(distribution, _ChoiceBase):
-        choices, weights = values_of(distribution), distribution.weights  # type: ignore[attr-defined]
-        return choices[weighted(weights or (1.0,) * len(choices), share)]
+    if isinstance(distribution, Choice):
+        choices = distribution.choices
+        return choices[weighted(distribution.weights or (1.0,) * len(choices), share)]
     return distribution
 
 

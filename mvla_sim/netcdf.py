@@ -20,7 +20,7 @@ from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output, existing_file
 
 __all__ = [
-    "PACKED", "Variable", "check_heaps", "check_schema", "open_netcdf", "read_netcdf", "schema_of", "table_of",
+    "PACKED", "Variable", "check_heaps", "check_schema", "read_netcdf", "schema_of", "table_of",
     "write_netcdf",
 ]  # fmt: skip
 
@@ -126,19 +126,6 @@ def write_netcdf(dataset: xr.Dataset, path: str | os.PathLike[str], packed: Iter
     content = dataset.to_netcdf(engine="h5netcdf", encoding=encoding)  # in memory: HDF5 crashes where a disk is full
     with atomic_output(path) as temporary, temporary.open("wb") as file:
         file.write(content)  # Path.write_bytes keeps a view of it in an error, and then it cannot be freed
-
-
-def open_netcdf(path: str | os.PathLike[str], schema: str, version: int, variables: Iterable[str]) -> xr.Dataset:
-    """Load a NetCDF-4 file of this program into memory; check its schema and that it holds ``variables``.
-
-    Raises
-    ------
-    DataError
-        Missing, empty, truncated, corrupted, not NetCDF-4, of another schema or schema version, or incomplete.
-    """
-    dataset = read_netcdf(path)
-    check_schema(dataset, path, schema, version, variables)
-    return dataset
 
 
 def read_netcdf(path: str | os.PathLike[str], what: str = "NetCDF file") -> xr.Dataset:

@@ -334,5 +334,4 @@ def _choices(annotation: Any) -> tuple[Any, ...]:
 
 def resolve_beside(file: str, folder: Path) -> str:
     """Make a file name inside a TOML file relative to that file's folder."""
-    path = Path(file)
-    return str(path if path.is_absolute() else folder / path)
+    return str(folder / file)

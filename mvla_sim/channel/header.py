@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import shapely
@@ -19,7 +19,7 @@ from mvla_sim.ragged import Ragged
 from mvla_sim.scene.antenna import ANTENNAS, Antenna
 from mvla_sim.scene.antennas.omni import Omni
 from mvla_sim.scene.views import Views
-from mvla_sim.settings import Settings, parse
+from mvla_sim.settings import parse
 
 __all__ = ["HEADER", "Channel"]
 
@@ -45,10 +45,6 @@ HEADER = (
 """Variables that every channel file has, the last two only where views have them."""
 
 _DAMAGED = (ValueError, TypeError, IndexError, KeyError, ZeroDivisionError, shapely.GEOSException)
-
-
-class _Holder(Settings):
-    antenna: Annotated[Antenna, ANTENNAS] = Omni()
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -93,8 +89,9 @@ class Channel:
     def __post_init__(self) -> None:
         """Refuse a carrier or bandwidth that is none."""
         if not (self.carrier_hz > 0 and self.bandwidth_hz > 0):
+            kind = self.SCHEMA.removeprefix("mvla-sim ")
             raise DataError(
-                f"{self._kind}: carrier {self.carrier_hz:g} Hz and bandwidth {self.bandwidth_hz:g} Hz must be above 0"
+                f"{kind}: carrier {self.carrier_hz:g} Hz and bandwidth {self.bandwidth_hz:g} Hz must be above 0"
             )
 
     def __repr__(self) -> str:
@@ -106,10 +103,6 @@ class Channel:
     def n_view(self) -> int:
         """Number of views M."""
         return len(self.views)
-
-    @property
-    def _kind(self) -> str:
-        return self.SCHEMA.removeprefix("mvla-sim ")
 
     @property
     def summary(self) -> str:
@@ -179,7 +172,7 @@ class Channel:
         antenna = json.loads(dataset.attrs.get("antenna", '{"kind": "omni"}'))
         return cls.fields_of({str(name): item.values for name, item in dataset.variables.items()}) | {
             "outline": shapely.from_wkt(wkt) if wkt else None,
-            "antenna": parse(_Holder, {"antenna": antenna}, "antenna").antenna,
+            "antenna": parse(ANTENNAS.model_of(antenna) or Omni, antenna, "antenna"),
             "config": table_of(dataset, "config"),
             "provenance": table_of(dataset, "provenance"),
         }

@@ -32,9 +32,9 @@ from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.scene.antenna import ANTENNAS, Antenna
 from mvla_sim.scene.antennas.omni import Omni
-from mvla_sim.scene.columns import PLACE, RECEIVER, read_columns
+from mvla_sim.scene.columns import PLACE, RECEIVER
 from mvla_sim.scene.pointing import PointingSettings, pointed, side_by_side
-from mvla_sim.scene.trajectories.positions import views_of_columns
+from mvla_sim.scene.trajectories.positions import read_positions, views_of_columns
 from mvla_sim.scene.trajectories.turntable import on_turntable
 from mvla_sim.scene.trajectory import views_on_circle
 from mvla_sim.scene.views import Views
@@ -259,9 +259,7 @@ def _views(settings: ImportSettings, found: Foreign) -> Views:
     """Where the views were measured: as a file of positions says, else as the data do."""
     geometry = settings.geometry
     if geometry.positions is not None:
-        numbers, _ = read_columns(
-            geometry.positions, "positions file", PLACE[:2], (PLACE[2], *RECEIVER, "azimuth_deg", "elevation_deg")
-        )
+        numbers = read_positions(geometry.positions)
         if len(numbers["x_m"]) != found.n_view:
             count = len(numbers["x_m"])
             raise DataError(f"{geometry.positions}: {count} positions for {found.n_view} views of the data")

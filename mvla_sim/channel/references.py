@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
+from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat, model_validator
 from scipy.fft import next_fast_len
 from scipy.optimize import minimize_scalar
 
@@ -28,12 +28,13 @@ STANDS_OUT_DB: Final = 15.0
 """Least level of the reference's echo over the median of all ranges; noise alone reaches it once in millions."""
 
 
-Gate = tuple[NonNegativeFloat, PositiveFloat]
+def _near_and_far(gate: tuple[float, float]) -> tuple[float, float]:
+    if gate[0] >= gate[1]:
+        raise ValueError("must be [near, far] with near below far")
+    return gate
 
 
-def _refuse_empty(name: str, gate: Gate | None) -> None:
-    if gate is not None and gate[0] >= gate[1]:
-        raise ValueError(f"{name} = {list(gate)} must be [near, far] with near below far")
+Gate = Annotated[tuple[NonNegativeFloat, PositiveFloat], AfterValidator(_near_and_far)]
 
 
 class BackgroundSettings(Settings):
@@ -47,11 +48,6 @@ class BackgroundSettings(Settings):
     align_m: Gate | None = Field(
         None, description="measured ranges at which its phase is turned to each view's; by default none"
     )
-
-    @model_validator(mode="after")
-    def _check(self) -> BackgroundSettings:
-        _refuse_empty("align_m", self.align_m)
-        return self
 
 
 class ReferenceSettings(Settings):
@@ -70,7 +66,6 @@ class ReferenceSettings(Settings):
 
     @model_validator(mode="after")
     def _check(self) -> ReferenceSettings:
-        _refuse_empty("gate_m", self.gate_m)
         if (self.kind == "sphere") != (self.radius_m is not None):
             raise ValueError(f"radius_m = {self.radius_m}: a sphere needs it, a plate has none")
         return self
@@ -78,14 +73,9 @@ class ReferenceSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Subtraction:
-    """Sweeps without their background.
+    """Sweeps without their background, ``[n_view, n_frequency]``.
 
-    Attributes
-    ----------
-    response
-        ``[n_view, n_frequency]`` complex128.
-    residual_db
-        Power in the align gate after over before the subtraction, ``[n_view]`` dB; NaN without a gate.
+    ``residual_db`` ``[n_view]`` is the power in the align gate after over before, dB; NaN without a gate.
     """
 
     response: NDArray[np.complex128]
@@ -94,16 +84,9 @@ class Subtraction:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceCalibration:
-    """Sweeps whose levels are path gains and whose delays start at the antennas.
+    """Sweeps whose levels are path gains and whose delays start at the antennas, ``[n_view, n_frequency]``.
 
-    Attributes
-    ----------
-    response
-        ``[n_view, n_frequency]`` complex128.
-    delay_offset_s
-        Delay that was taken out: of cables and antennas, seconds.
-    gain_correction
-        Real factor, an amplitude, that was multiplied on.
+    What was taken out is the delay of cables and antennas, seconds; what was multiplied on a real factor, an amplitude.
     """
 
     response: NDArray[np.complex128]

@@ -140,19 +140,15 @@ def _resume(partial: Path | None) -> list[ViewPaths]:
     earlier = _load(partial) if partial is not None else None
     if earlier is None:
         return []
+    names = ViewPaths.__dataclass_fields__
     rows = [earlier.rows(m) for m in range(earlier.n_view)]
-    return [
-        ViewPaths(earlier.gain[r], earlier.delay_s[r], earlier.interaction[r], earlier.first_point_m[r]) for r in rows
-    ]
+    return [ViewPaths(**{name: getattr(earlier, name)[row] for name in names}) for row in rows]
 
 
 def _assemble(scene: Scene, views: list[ViewPaths]) -> Cir:
     """Join the views into one dataset, with everything that decided it."""
     return Cir(
-        gain=np.concatenate([v.gain for v in views]),
-        delay_s=np.concatenate([v.delay_s for v in views]),
-        interaction=np.concatenate([v.interaction for v in views]),
-        first_point_m=np.concatenate([v.first_point_m for v in views]),
+        **{name: np.concatenate([getattr(v, name) for v in views]) for name in ViewPaths.__dataclass_fields__},
         row_size=np.array([v.gain.size for v in views], np.int64),
         views=scene.views.select(np.arange(len(views))),
         carrier_hz=scene.settings.radio.carrier_hz,

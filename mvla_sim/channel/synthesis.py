@@ -86,16 +86,6 @@ class SweepSet:
     noise_power: float
     seed: int
 
-    @property
-    def start_hz(self) -> float:
-        """First frequency, hertz."""
-        return self.sweeps.start_hz
-
-    @property
-    def step_hz(self) -> float:
-        """Spacing of the frequencies, hertz."""
-        return self.sweeps.step_hz
-
 
 def synthesize(cir: Cir, settings: SynthesisSettings) -> SweepSet:
     """Sweep a traced channel as a network analyser would.

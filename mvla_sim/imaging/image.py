@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError, MvlaError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.netcdf import open_netcdf, table_of, write_netcdf
+from mvla_sim.netcdf import check_schema, read_netcdf, table_of, write_netcdf
 
 __all__ = ["SCHEMA", "SCHEMA_VERSION", "Image"]
 
@@ -120,7 +120,8 @@ class Image:
         DataError
             Missing, empty, truncated, not NetCDF-4, no image file, of another schema version, or inconsistent.
         """
-        dataset = open_netcdf(path, SCHEMA, SCHEMA_VERSION, ("score", "x", "y", "z"))
+        dataset = read_netcdf(path)
+        check_schema(dataset, path, SCHEMA, SCHEMA_VERSION, ("score", "x", "y", "z"))
         try:
             axes = [dataset[name].values.astype(np.float64) for name in "xyz"]
             center = tuple(float((a[0] + a[-1]) / 2) for a in axes)

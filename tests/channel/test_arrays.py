@@ -141,7 +141,7 @@ def test_what_is_written_is_read(written):
 
 def test_a_file_lists_what_it_has(written):
     source = read_array_file(written)
-    assert set(source.names) == set(ARRAYS)
+    assert set(source.entries) == set(ARRAYS)
     assert source.entries["h"].shape == RESPONSE.shape
     np.testing.assert_array_equal(source.get("count"), ARRAYS["count"])
     assert source.get("count").dtype == np.int16
@@ -224,7 +224,7 @@ def test_what_is_no_number_in_hdf5_of_matlab(tmp_path):
     source = read_array_file(file)
     assert source.entries["text"].refusal == "of class char"
     assert source.entries["nothing"].refusal == "empty"
-    assert "#refs#/a" not in source.names
+    assert "#refs#/a" not in source.entries
 
 
 def test_integers_and_single_precision_of_matlab(tmp_path):
@@ -252,7 +252,7 @@ def test_netcdf_unpacks_and_leaves_bare_dimensions_out(tmp_path):
     packed = {"level": {"dtype": "int16", "scale_factor": 0.5, "add_offset": 10.0, "_FillValue": -1}}
     write_netcdf(tmp_path / "a.nc", {"level": np.array([10.0, 11.5, math.nan])}, encoding=packed)
     source = read_array_file(tmp_path / "a.nc")
-    assert source.names == ("level",)
+    assert tuple(source.entries) == ("level",)
     np.testing.assert_array_equal(source.get("level"), [10.0, 11.5, math.nan])
 
 

@@ -13,7 +13,7 @@ from foreign_files import write_p2m as write
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mvla_sim.channel.readers.insite import read_p2m
+from mvla_sim.channel.readers.insite import InSite, read_p2m
 from mvla_sim.channel.readers.pairs import PairPaths
 from mvla_sim.constants import SPEED_OF_LIGHT
 from mvla_sim.errors import ConfigError, DataError
@@ -72,7 +72,6 @@ def test_a_file_as_insite_prints_it(printed):
     np.testing.assert_array_equal(paths.transmitters_m, [TRANSMITTER] * 2)
     np.testing.assert_array_equal(paths.receivers_m, [[4.5, 19.5, 1.8], TRANSMITTER])
     np.testing.assert_array_equal(paths.interaction, [0, SPECULAR | DIFFUSE, DIFFRACTION])
-    np.testing.assert_array_equal(paths.line_of_sight, [True, False, False])
     np.testing.assert_array_equal(paths.delay_s, [1.5237e-7, 1.5810e-7, 1e-7])
     np.testing.assert_allclose(20 * np.log10(np.abs(paths.gain)), [-71.5000, -74.2500, -60], rtol=1e-12)
     np.testing.assert_allclose(np.angle(paths.gain, deg=True), [12.5, -90, 180], rtol=1e-12)
@@ -88,7 +87,7 @@ def test_a_file_as_insite_prints_it(printed):
         "receivers_without_paths": "1",
     }
     # the direct path is as long as printed: half of the last digit is 1.5 mm
-    assert paths.delay_s[0] * SPEED_OF_LIGHT == pytest.approx(paths.distance_m[0], abs=1.5e-3)
+    assert paths.delay_s[0] * SPEED_OF_LIGHT == pytest.approx(math.dist([4.5, 19.5, 1.8], TRANSMITTER), abs=1.5e-3)
 
 
 @settings(max_examples=40)
@@ -110,7 +109,7 @@ def test_received_power_is_relative_to_the_transmitted(tmp_path):
     assert paths.source["transmit_power_dbm"] == "23"
     for power in (math.nan, math.inf):
         with pytest.raises(ConfigError, match="transmit_power_dbm"):
-            read_p2m(file, power)
+            InSite(transmit_power_dbm=power)
 
 
 def test_older_files_have_no_phase(tmp_path):
@@ -138,7 +137,7 @@ def test_each_letter_has_its_bit(printed, letter, bits):
 def test_a_file_without_any_path_gives_no_pair(printed):
     printed.write_text("2\n1 0\n2 0\n")
     paths = read_p2m(printed)
-    assert (paths.n_pair, paths.n_path, paths.source["receivers_without_paths"]) == (0, 0, "2")
+    assert (paths.n_pair, paths.gain.size, paths.source["receivers_without_paths"]) == (0, 0, "2")
 
 
 @pytest.mark.parametrize("text", [AS_PRINTED.replace("\n", "\r\n"), AS_PRINTED.rstrip(), AS_PRINTED + "\n\n# end\n"])

@@ -63,7 +63,7 @@ def test_axis_and_sum_are_those_of_the_channel(points):
     sweeps = campaign.sweeps
     frequency = np.linspace(34.5e9, 37.5e9, points)
     np.testing.assert_allclose(sweeps.frequency_hz, frequency, rtol=1e-15)
-    assert (campaign.start_hz, campaign.step_hz) == (34.5e9, 3e9 / (points - 1))
+    assert (campaign.sweeps.start_hz, campaign.sweeps.step_hz) == (34.5e9, 3e9 / (points - 1))
     assert sweeps.carrier_hz == pytest.approx(36e9)
     leakage = plain_echo(0.3, -55.0, frequency)
     for view in range(cir.n_view):

@@ -38,7 +38,13 @@ def angles_of_files(files: Sequence[Path], pattern: str | None, angle_file: str 
     A sign right after a letter or digit is a hyphen (``car-10``), unless the pattern has text there (``car{angle}``).
     ``angle_file`` wins over the pattern.
     """
-    angles = np.array(_angles(files, pattern, angle_file), np.float64)
+    if angle_file is not None:
+        listed = _listed_angles(angle_file, files)
+    elif pattern is None or pattern.count("{angle}") != 1:
+        raise ConfigError(f"sweeps.angle_pattern = {pattern!r}: must hold {{angle}} once, or give sweeps.angle_file")
+    else:
+        listed = [_angle_in_name(file, pattern) for file in files]
+    angles = np.array(listed, np.float64)
     _refuse_equal(angles, files)
     return angles
 
@@ -66,14 +72,6 @@ def missing_angles(angles_deg: NDArray[np.float64]) -> list[float]:
     gaps = np.flatnonzero(count > 1)
     lacking = [angles[i] + steps[i] * k / count[i] for i in gaps for k in range(1, int(count[i]))]
     return [float(np.round(angle % 360, 6)) for angle in lacking]
-
-
-def _angles(files: Sequence[Path], pattern: str | None, angle_file: str | None) -> list[float]:
-    if angle_file is not None:
-        return _listed_angles(angle_file, files)
-    if pattern is None or pattern.count("{angle}") != 1:
-        raise ConfigError(f"sweeps.angle_pattern = {pattern!r}: must hold {{angle}} once, or give sweeps.angle_file")
-    return [_angle_in_name(file, pattern) for file in files]
 
 
 def _angle_in_name(file: Path, pattern: str) -> float:

@@ -34,14 +34,7 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from mvla_sim.channel.readers.array_values import (
-    ArrayEntry,
-    check_claim,
-    check_number,
-    plain_values,
-    refusal_of,
-    shown,
-)
+from mvla_sim.channel.readers.array_values import ArrayEntry, check_claim, check_number, plain_values, refusal_of, shown
 from mvla_sim.errors import DataError
 from mvla_sim.files import existing_file
 from mvla_sim.memory import USABLE
@@ -69,26 +62,11 @@ Entries = dict[str, ArrayEntry]
 
 @dataclass(frozen=True, eq=False)
 class ArrayFile:
-    """The named arrays of a file.
-
-    Attributes
-    ----------
-    file
-        Where it is.
-    entries
-        What it holds, by name.
-    loaded
-        Arrays that are in memory already, by name.
-    """
+    """The named arrays of a file: what it holds, by name, and those that are in memory already."""
 
     file: Path
     entries: Mapping[str, ArrayEntry]
     loaded: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of everything in the file, also of what is not numbers."""
-        return tuple(self.entries)
 
     def get(self, name: str) -> NDArray[Any]:
         """Return an array of integers, floats or complex numbers without its lengths of 1; it may be read-only.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.memory import check_memory
 
-__all__ = ["ArrayEntry", "check_claim", "check_number", "plain_values", "refusal_of", "shown"]
+__all__ = ["ArrayEntry", "check_axis", "check_claim", "check_number", "plain_values", "refusal_of", "shown"]
 
 _MOST_PACKED: Final = 1100  # deflate makes at most 1032 bytes of one
 _NUMBER_BYTES: Final = 48  # of memory for a number, which becomes complex128 and is copied
@@ -24,15 +24,7 @@ _COMPLEX_FIELDS: Final = (("real", "imag"), ("re", "im"), ("r", "i"))
 
 @dataclass(frozen=True)
 class ArrayEntry:
-    """What a file says of one of its arrays.
-
-    Attributes
-    ----------
-    shape
-        Its lengths, those of 1 included.
-    refusal
-        What it is instead of numbers ("text"); None where it is numbers.
-    """
+    """What a file says of an array: its shape, lengths of 1 included, and what it is instead of numbers ("text")."""
 
     shape: tuple[int, ...]
     refusal: str | None = None
@@ -84,6 +76,30 @@ def check_claim(file: Path, name: str, shape: Sequence[int], itemsize: int) -> N
         check_memory(count * _NUMBER_BYTES, f"{file}: the numbers of '{shown(name)}'", "keep fewer in the file")
     except ConfigError as error:
         raise DataError(str(error)) from error
+
+
+def check_axis(axis: NDArray[np.float64], place: str, unevenness: float) -> bool:
+    """Refuse an axis off even steps by more than this share of one; return whether it falls."""
+    if axis.ndim != 1 or axis.size < 2:
+        raise DataError(f"{place} has shape {axis.shape}, must be a list of at least 2 values")
+    with np.errstate(all="ignore"):
+        steps = np.diff(axis)
+        mean = (axis[-1] - axis[0]) / (axis.size - 1)
+        even = np.abs(axis - (axis[0] + mean * np.arange(axis.size))) <= unevenness * abs(mean)
+        usual = np.median(steps)
+        turn = np.flatnonzero(~(steps * np.sign(usual) > 0))
+        worst = int(np.nan_to_num(np.abs(steps - usual), posinf=np.inf).argmax())
+    if turn.size:
+        i = turn[0]
+        raise DataError(
+            f"{place} must rise or fall strictly: at place {i + 1} (from 0) {axis[i + 1]:.12g} follows {axis[i]:.12g}"
+        )
+    if not even.all():
+        raise DataError(
+            f"{place} is not in even steps: from place {worst} to {worst + 1} it is {steps[worst]:.9g}, mostly "
+            f"{usual:.9g}; allowed is a difference of {unevenness:g} of a step"
+        )
+    return bool(mean < 0)
 
 
 def shown(value: object) -> str:

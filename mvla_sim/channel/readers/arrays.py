@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat
 
 from mvla_sim.channel.readers.array_files import SUFFIXES, ArrayFile, read_array_file
-from mvla_sim.channel.readers.array_values import shown
+from mvla_sim.channel.readers.array_values import check_axis, shown
 from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.errors import ConfigError, DataError
@@ -28,17 +28,8 @@ UNEVENNESS: Final = 1e-4
 class ArrayData:
     """Measured responses of every view.
 
-    Attributes
-    ----------
-    values
-        Response, ``[n_view, n_axis]`` complex128, finite; its unit is the file's.
-    axis
-        Frequencies in hertz or delays in seconds, ``[n_axis]`` float64, rising in even steps.
-    angles_deg
-        Angle of each view as the file counts it, ``[n_view]`` float64, degrees; None where it is not in the file.
-    positions_m, receivers_m
-        Position of the sensor, or of its transmitter, and of the receiver, ``[n_view, 3]`` float64, metres; None where
-        they are not in the file.
+    The response ``[n_view, n_axis]``, finite, in the file's unit, at frequencies in hertz or delays in seconds
+    ``[n_axis]``, which rise in even steps; angles and positions as in ``Foreign``, which is made of it.
     """
 
     values: NDArray[np.complex128]
@@ -99,7 +90,7 @@ def read_responses(file: str | os.PathLike[str], names: ArrayReader) -> ArrayDat
     angles, positions, receivers = names.angles, names.positions, names.receivers
     source = read_array_file(file, [name for name in (data, data_imag, axis, angles, positions, receivers) if name])
     steps = _real(source, axis, names.axis_unit)
-    falling = _check_axis(steps, f"{source.file}: axis '{shown(axis)}'")
+    falling = check_axis(steps, f"{source.file}: axis '{shown(axis)}'", UNEVENNESS)
     angles_deg = None if angles is None else _angles(source, angles)
     positions_m, receivers_m = (None if name is None else _places(source, name) for name in (positions, receivers))
     per_view = {"angles": angles_deg, "positions": positions_m, "receivers": receivers_m}
@@ -141,30 +132,6 @@ def _check_finite(values: NDArray[Any], place: str, axes: Sequence[str]) -> None
         first = np.unravel_index(int(bad.argmax()), values.shape)
         where = ", ".join(f"{axis} {index}" for axis, index in zip(axes, first, strict=True))
         raise DataError(f"{place} is {values[first]} at {where} (from 0), must be finite")
-
-
-def _check_axis(axis: NDArray[np.float64], place: str) -> bool:
-    """Refuse an axis that is not in even steps; return whether it falls."""
-    if axis.ndim != 1 or axis.size < 2:
-        raise DataError(f"{place} has shape {axis.shape}, must be a list of at least 2 values")
-    with np.errstate(all="ignore"):
-        steps = np.diff(axis)
-        mean = (axis[-1] - axis[0]) / (axis.size - 1)
-        even = np.abs(axis - (axis[0] + mean * np.arange(axis.size))) <= UNEVENNESS * abs(mean)
-        usual = np.median(steps)
-        turn = np.flatnonzero(~(steps * np.sign(usual) > 0))
-        worst = int(np.nan_to_num(np.abs(steps - usual), posinf=np.inf).argmax())
-    if turn.size:
-        i = turn[0]
-        raise DataError(
-            f"{place} must rise or fall strictly: at place {i + 1} (from 0) {axis[i + 1]:.12g} follows {axis[i]:.12g}"
-        )
-    if not even.all():
-        raise DataError(
-            f"{place} is not in even steps: from place {worst} to {worst + 1} it is {steps[worst]:.9g}, mostly "
-            f"{usual:.9g}; allowed is a difference of {UNEVENNESS:g} of a step"
-        )
-    return bool(mean < 0)
 
 
 def _angles(source: ArrayFile, name: str) -> NDArray[np.float64]:

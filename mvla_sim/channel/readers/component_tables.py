@@ -18,7 +18,6 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -33,7 +32,7 @@ from mvla_sim.files import existing_file
 from mvla_sim.memory import check_memory
 from mvla_sim.scene.columns import PLACE, RECEIVER, Columns, read_columns
 
-__all__ = ["ComponentReader", "ComponentTable", "read_components"]
+__all__ = ["ComponentReader", "read_components"]
 
 LARGEST_VIEW: Final = 999_999
 LONGEST_DELAY_S: Final = 1.0
@@ -54,33 +53,6 @@ _PER_VIEW: Final = ("angle_deg", *PLACE, *RECEIVER)
 _MEMORY_A_BYTE: Final = 30  # of the text, whose words take some 50 bytes each while they are read
 
 
-@dataclass(frozen=True, eq=False)
-class ComponentTable:
-    """Components view after view, within a view by rising range.
-
-    Attributes
-    ----------
-    range_m
-        One-way range of each component, ``[n_component]`` float64, metres.
-    power
-        Power of each, ``[n_component]`` float64, linear, above 0; its unit is the file's.
-    row_size
-        Components of each view, ``[n_view]`` int64; may be 0.
-    angles_deg
-        Angle of each view as the file counts it, ``[n_view]`` float64, degrees; None where it is not in the file.
-    positions_m, receivers_m
-        Position of the sensor, or of its transmitter, and of the receiver, ``[n_view, 3]`` float64, metres; None where
-        they are not in the file.
-    """
-
-    range_m: NDArray[np.float64]
-    power: NDArray[np.float64]
-    row_size: NDArray[np.int64]
-    angles_deg: NDArray[np.float64] | None = None
-    positions_m: NDArray[np.float64] | None = None
-    receivers_m: NDArray[np.float64] | None = None
-
-
 class ComponentReader(Reader):
     """A CSV file of ready-made components."""
 
@@ -96,12 +68,10 @@ class ComponentReader(Reader):
     def read(self, source: Path, radio: GivenRadio) -> Foreign:
         """Read the table."""
         del radio
-        table = read_components(source)
-        data = {"range_m": table.range_m, "power": table.power, "row_size": table.row_size}
-        return Foreign(Components, data, table.row_size.size, table.angles_deg, table.positions_m, table.receivers_m)
+        return read_components(source)
 
 
-def read_components(file: str | os.PathLike[str]) -> ComponentTable:
+def read_components(file: str | os.PathLike[str]) -> Foreign:
     """Read a CSV file of components.
 
     Parameters
@@ -113,8 +83,10 @@ def read_components(file: str | os.PathLike[str]) -> ComponentTable:
 
     Returns
     -------
-    ComponentTable
-        A z that is not given is 0, or for receivers that of the transmitter.
+    Foreign
+        Components view after view, within a view by rising range: ``range_m`` ``[n_component]`` metres, ``power``
+        ``[n_component]`` linear in the file's unit, ``row_size`` ``[n_view]``, which may be 0. A z that is not given is
+        0, or for receivers that of the transmitter.
 
     Raises
     ------
@@ -144,7 +116,8 @@ def read_components(file: str | os.PathLike[str]) -> ComponentTable:
     order = np.lexsort((range_m, view))
     positions_m = _points(fixed, PLACE, np.zeros(row_size.size))
     receivers_m = None if positions_m is None else _points(fixed, RECEIVER, positions_m[:, 2])
-    return ComponentTable(range_m[order], power[order], row_size, fixed.get("angle_deg"), positions_m, receivers_m)
+    data = {"range_m": range_m[order], "power": power[order], "row_size": row_size}
+    return Foreign(Components, data, row_size.size, fixed.get("angle_deg"), positions_m, receivers_m)
 
 
 def _only_one(path: Path, numbers: Columns, names: Sequence[str]) -> str:

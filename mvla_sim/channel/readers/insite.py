@@ -28,7 +28,7 @@ import numpy as np
 
 from mvla_sim.channel.cir import INTERACTIONS
 from mvla_sim.channel.readers.pairs import PairPaths, PairReader, join_pairs
-from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.errors import DataError
 from mvla_sim.files import existing_file
 
 __all__ = ["InSite", "read_p2m"]
@@ -112,13 +112,9 @@ def read_p2m(file: str | os.PathLike[str], transmit_power_dbm: float = 0.0) -> P
 
     Raises
     ------
-    ConfigError
-        The transmitted power is not finite.
     DataError
         Missing, truncated, not of this format, or with an unknown interaction; the message names the line.
     """
-    if not math.isfinite(transmit_power_dbm):
-        raise ConfigError(f"transmit_power_dbm = {transmit_power_dbm:g}: must be finite")
     path = existing_file(file, "InSite path file (.p2m)")
     try:
         with path.open("rb") as handle:

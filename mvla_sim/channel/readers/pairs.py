@@ -13,7 +13,7 @@ from pydantic import Field, NonNegativeFloat
 
 from mvla_sim.channel.cir import INTERACTIONS, Cir
 from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader
-from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.errors import DataError
 from mvla_sim.ragged import Ragged
 
 __all__ = ["PairPaths", "PairReader", "PairSelection", "drop_line_of_sight", "join_pairs", "select_pairs"]
@@ -25,6 +25,8 @@ _LONGEST_DELAY_S: Final = 1.0
 _LARGEST_COORDINATE_M: Final = 1e9
 _LARGEST_GAIN: Final = 1e10
 """Beyond these a file is damaged or in other units, and squares of its numbers could leave the range of float32."""
+_OF_PAIRS: Final = ("transmitters_m", "receivers_m", "row_size")
+_OF_PATHS: Final = ("gain", "delay_s", "interaction", "first_point_m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,23 +108,6 @@ class PairPaths(Ragged):
         """Number of pairs."""
         return self.row_size.size
 
-    @property
-    def n_path(self) -> int:
-        """Number of paths of all pairs."""
-        return self.gain.size
-
-    @property
-    def distance_m(self) -> NDArray[np.float64]:
-        """Distance between transmitter and receiver, ``[n_pair]`` metres."""
-        distance: NDArray[np.float64] = np.linalg.norm(self.transmitters_m - self.receivers_m, axis=1)
-        return distance
-
-    @property
-    def line_of_sight(self) -> NDArray[np.bool_]:
-        """Whether a path is direct, without any interaction, ``[n_path]``."""
-        direct: NDArray[np.bool_] = self.interaction == 0
-        return direct
-
 
 class PairReader(Reader):
     """A reader of paths between transmitters and receivers, of which some pairs become views."""
@@ -144,7 +129,7 @@ class PairReader(Reader):
         paths = select_pairs(self.paths(source), self.which, self.tolerance_m)
         if not self.line_of_sight:
             paths = drop_line_of_sight(paths)
-        if paths.n_pair == 0 or paths.n_path == 0:
+        if paths.n_pair == 0 or not paths.gain.size:
             raise DataError(f"{source}: no echo in any of {paths.n_pair} pairs; nothing can be imaged")
         apart = bool((paths.receivers_m != paths.transmitters_m).any())
         data = {item.field: getattr(paths, item.field) for item in Cir.VARIABLES}
@@ -167,17 +152,8 @@ def join_pairs(parts: Sequence[PairPaths], source: Mapping[str, str]) -> PairPat
     carriers = sorted({str(part.carrier_hz) for part in parts})
     if len(carriers) > 1:
         raise DataError(f"paths: files of different carriers ({' and '.join(carriers[:2])} Hz) cannot be joined")
-    return PairPaths(
-        transmitters_m=np.concatenate([part.transmitters_m for part in parts]),
-        receivers_m=np.concatenate([part.receivers_m for part in parts]),
-        row_size=np.concatenate([part.row_size for part in parts]),
-        gain=np.concatenate([part.gain for part in parts]),
-        delay_s=np.concatenate([part.delay_s for part in parts]),
-        interaction=np.concatenate([part.interaction for part in parts]),
-        first_point_m=np.concatenate([part.first_point_m for part in parts]),
-        carrier_hz=parts[0].carrier_hz,
-        source=dict(source),
-    )
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in (*_OF_PAIRS, *_OF_PATHS)}
+    return PairPaths(**joined, carrier_hz=parts[0].carrier_hz, source=dict(source))
 
 
 def select_pairs(paths: PairPaths, which: PairSelection, tolerance_m: float) -> PairPaths:
@@ -195,50 +171,33 @@ def select_pairs(paths: PairPaths, which: PairSelection, tolerance_m: float) -> 
 
     Raises
     ------
-    ConfigError
-        ``which`` is none of these, or the tolerance is negative or not finite.
     DataError
         Co-located pairs are asked for and there is none.
     """
-    if which not in ("co-located", "all", "auto"):
-        raise ConfigError(f"which = {which!r}: unknown; allowed: 'co-located', 'all', 'auto'")
-    if not 0 <= tolerance_m < np.inf:
-        raise ConfigError(f"tolerance_m = {tolerance_m:g}: must be at least 0 and finite")
-    distance = paths.distance_m
+    distance = np.linalg.norm(paths.transmitters_m - paths.receivers_m, axis=1)
     near = distance <= tolerance_m
     if which == "all" or (which == "auto" and not near.any()):
         return replace(paths, source={**paths.source, "pairs": f"all {paths.n_pair}"})
     if not near.any():
         closest = f"the closest are {distance.min():g} m apart" if distance.size else "there is no pair at all"
         raise DataError(f"paths: no transmitter and receiver within {tolerance_m:g} m of each other; {closest}")
+    chosen = f"the {np.count_nonzero(near)} of {paths.n_pair} that are co-located within {tolerance_m:g} m"
     return replace(
         _keep_paths(paths, near[paths.row_index]),
-        transmitters_m=paths.transmitters_m[near],
-        receivers_m=paths.receivers_m[near],
-        row_size=paths.row_size[near],
-        source={
-            **paths.source,
-            "pairs": f"the {np.count_nonzero(near)} of {paths.n_pair} that are co-located within {tolerance_m:g} m",
-        },
+        **{name: getattr(paths, name)[near] for name in _OF_PAIRS},
+        source={**paths.source, "pairs": chosen},
     )
 
 
 def drop_line_of_sight(paths: PairPaths) -> PairPaths:
     """Remove the direct paths; a pair that has no other stays, with no path."""
-    direct = paths.line_of_sight
+    direct = paths.interaction == 0
     return replace(
-        _keep_paths(paths, ~direct),
-        source={**paths.source, "direct_paths_dropped": str(np.count_nonzero(direct))},
+        _keep_paths(paths, ~direct), source={**paths.source, "direct_paths_dropped": str(np.count_nonzero(direct))}
     )
 
 
 def _keep_paths(paths: PairPaths, keep: NDArray[np.bool_]) -> PairPaths:
     """Return every pair with those of its paths that are to be kept, ``[n_path]``."""
-    return replace(
-        paths,
-        row_size=np.bincount(paths.row_index[keep], minlength=paths.n_pair).astype(np.int64),
-        gain=paths.gain[keep],
-        delay_s=paths.delay_s[keep],
-        interaction=paths.interaction[keep],
-        first_point_m=paths.first_point_m[keep],
-    )
+    row_size = np.bincount(paths.row_index[keep], minlength=paths.n_pair).astype(np.int64)
+    return replace(paths, row_size=row_size, **{name: getattr(paths, name)[keep] for name in _OF_PATHS})

@@ -57,8 +57,6 @@ class TouchstoneFolder(Reader):
     def read(self, source: Path, radio: GivenRadio) -> Foreign:
         """Read every view, subtract the background, and calibrate by the reference."""
         del radio
-        if not source.is_dir():
-            raise DataError(f"{source}: no such folder of Touchstone files")
         swept = read_folder(self, source)
         files, response, start, step = swept.files, swept.response, swept.start_hz, swept.step_hz
         facts = {"files": f"{files[0].name} to {files[-1].name}"}
@@ -89,31 +87,16 @@ class TouchstoneFolder(Reader):
 
     def _like(self, views: FolderSweeps, file: str) -> NDArray[np.complex128]:
         """Another sweep, which must have the views' axis."""
-        other, count = read_touchstone(file, self.parameter), views.response.shape[1]
-        ours, theirs = [views.start_hz, views.step_hz], [other.start_hz, other.step_hz]
-        if other.response.size != count or not np.allclose(theirs, ours, rtol=1e-6, atol=0):
-            raise DataError(
-                f"{file}: {other.response.size} frequencies from {other.start_hz / 1e9:.6g} GHz in steps of "
-                f"{other.step_hz / 1e6:.6g} MHz; {views.files[0].name} has {count} from {views.start_hz / 1e9:.6g} GHz "
-                f"in steps of {views.step_hz / 1e6:.6g} MHz: measure both over one axis"
-            )
+        other = read_touchstone(file, self.parameter)
+        _refuse_other_axis(Sweep(views.start_hz, views.step_hz, views.response[0]), views.files[0], other, Path(file))
         return other.response
 
 
 @dataclass(frozen=True, eq=False)
 class FolderSweeps:
-    """The sweeps of a folder, by rising angle.
+    """The sweeps of a folder by rising angle, degrees as the names or the angle file say it: a file and a row a view.
 
-    Attributes
-    ----------
-    files
-        The file of each view.
-    angles_deg
-        Angle of each view as its name or the angle file says it, ``[n_view]`` degrees.
-    start_hz, step_hz
-        First frequency and spacing, hertz.
-    response
-        ``[n_view, n_frequency]`` complex128.
+    Frequencies ``start_hz + step_hz·k``; ``response`` is ``[n_view, n_frequency]``.
     """
 
     files: tuple[Path, ...]
@@ -173,22 +156,17 @@ def _view_files(settings: TouchstoneFolder, folder: Path) -> list[Path]:
     pattern = settings.files.lower()
     names = [name for name in names if not name.startswith(".") or pattern.startswith(".")]
     matching = [folder / name for name in names if fnmatch.fnmatchcase(name.lower(), pattern)]
-    others = {Path(name).resolve() for name in _other_sweeps(settings)}
-    files = [file for file in matching if file.resolve() not in others]
+    others = {settings.background and settings.background.file}
+    if settings.reference:
+        others |= {settings.reference.file, settings.reference.background}
+    apart = {Path(name).resolve() for name in others if name}
+    files = [file for file in matching if file.resolve() not in apart]
     if not files:
         found = f"{len(names)} files: {', '.join(names[:3])}{', …' * (len(names) > 3)}" if names else "no file"
         if matching:
             found = f"only {', '.join(file.name for file in matching)} of background and reference"
         raise DataError(f"{folder}: no file matches sweeps.files = '{settings.files}'; the folder holds {found}")
     return files
-
-
-def _other_sweeps(settings: TouchstoneFolder) -> list[str]:
-    """Files of background and reference."""
-    names = [settings.background.file] if settings.background else []
-    if settings.reference:
-        names += [settings.reference.file, settings.reference.background or settings.reference.file]
-    return names
 
 
 def _refuse_other_axis(first: Sweep, first_file: Path, sweep: Sweep, file: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skrf.io.touchstone import Touchstone
 
+from mvla_sim.channel.readers.array_values import check_axis
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import atomic_output, existing_file
 
@@ -32,15 +33,7 @@ _UNPARSED = (ValueError, TypeError, IndexError, KeyError, AttributeError, Arithm
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """One S-parameter at uniform frequencies.
-
-    Attributes
-    ----------
-    start_hz, step_hz
-        First frequency and spacing Δf, hertz.
-    response
-        ``[n_frequency]`` complex128, as stored: relative to the file's own reference impedance, which is not changed.
-    """
+    """One S-parameter at uniform frequencies, ``[n_frequency]``, relative to the file's own reference impedance."""
 
     start_hz: float
     step_hz: float
@@ -251,23 +244,11 @@ def _flaw(data: Sequence[tuple[int, str]], ports: int) -> str:
 
 def _uniform(frequency_hz: NDArray[np.float64], file: Path) -> tuple[float, float]:
     """Start and step of the axis."""
-    if len(frequency_hz) < 2:
-        raise DataError(f"{file}: has {len(frequency_hz)} frequency; allowed: 2 or more")
     if not np.isfinite(frequency_hz).all():
         raise DataError(f"{file}: a frequency is not finite")
     if frequency_hz[0] < 0:
         raise DataError(f"{file}: starts at {frequency_hz[0]:.12g} Hz; allowed: 0 or more")
-    falls = np.flatnonzero(np.diff(frequency_hz) <= 0)
-    if len(falls):
-        before, after = frequency_hz[falls[0]], frequency_hz[falls[0] + 1]
-        raise DataError(f"{file}: frequency {after:.12g} Hz follows {before:.12g} Hz; they must rise")
+    if check_axis(frequency_hz, f"{file}: frequency", AXIS_TOLERANCE):
+        raise DataError(f"{file}: frequencies fall from {frequency_hz[0]:.12g} Hz on; they must rise")
     start = float(frequency_hz[0])
-    step = float((frequency_hz[-1] - start) / (len(frequency_hz) - 1))
-    off = abs(frequency_hz - start - step * np.arange(len(frequency_hz)))
-    worst = int(off.argmax())
-    if off[worst] > AXIS_TOLERANCE * step:
-        raise DataError(
-            f"{file}: frequency {frequency_hz[worst]:.12g} Hz is {off[worst] / step:.2g} steps off a uniform axis; "
-            f"allowed: {AXIS_TOLERANCE:g} steps"
-        )
-    return start, step
+    return start, float((frequency_hz[-1] - start) / (len(frequency_hz) - 1))

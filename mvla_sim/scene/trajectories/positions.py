@@ -14,7 +14,7 @@ from mvla_sim.scene.pointing import PointingSettings, directions, pointed, side_
 from mvla_sim.scene.trajectory import Trajectory, views_about
 from mvla_sim.scene.views import Views
 
-__all__ = ["Positions", "views_of_columns"]
+__all__ = ["Positions", "read_positions", "views_of_columns"]
 
 
 class Positions(Trajectory):
@@ -42,10 +42,20 @@ class Positions(Trajectory):
         """Views at the positions, their angles about the target's centre."""
         if self.file is None:
             return self.equipped(views_about(self.positions_m, center_xy, f"{key}.positions_m"), key)
-        more = (PLACE[2], *RECEIVER, "azimuth_deg", "elevation_deg")
-        numbers, _ = read_columns(self.file, "positions file", PLACE[:2], more)
         place = f"{key}.file = {self.file}"
-        return views_of_columns(numbers, center_xy, self.pointing, self.pair_separation_m, place)
+        return views_of_columns(read_positions(self.file), center_xy, self.pointing, self.pair_separation_m, place)
+
+
+def read_positions(file: str) -> Columns:
+    """Columns of a positions file by name.
+
+    Raises
+    ------
+    DataError
+        The file cannot be used; the message names file, line and column.
+    """
+    more = (PLACE[2], *RECEIVER, "azimuth_deg", "elevation_deg")
+    return read_columns(file, "positions file", PLACE[:2], more)[0]
 
 
 def views_of_columns(
