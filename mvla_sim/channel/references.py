@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat, mod
 from scipy.fft import next_fast_len
 from scipy.optimize import minimize_scalar
 
-from mvla_sim.constants import SPEED_OF_LIGHT, range_to_delay
+from mvla_sim.constants import SPEED_OF_LIGHT, range_resolution, range_to_delay
 from mvla_sim.dsp import Window, range_profiles
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.settings import Settings
@@ -215,7 +215,7 @@ def calibrate(
     if reference.shape != response.shape[1:]:
         raise DataError(f"reference has {reference.size} frequencies, the views have {response.shape[1]}")
     frequency = start_hz + step_hz * np.arange(reference.size)
-    if settings.range_m > _unambiguous_m(step_hz):
+    if settings.range_m > range_resolution(step_hz):
         raise ConfigError(f"reference.range_m = {settings.range_m:g} m: {_folding(step_hz)}")
     delay, amplitude = find_peak(reference, start_hz, step_hz, settings.gate_m)
     carrier = float(frequency[0] + frequency[-1]) / 2
@@ -295,17 +295,13 @@ def _gate_samples(gate_m: Gate, step_m: float, length: int) -> NDArray[np.intp]:
     return np.arange(first, min(last + 1, length))
 
 
-def _unambiguous_m(step_hz: float) -> float:
-    return SPEED_OF_LIGHT / (2 * step_hz)
-
-
 def _folding(step_hz: float) -> str:
     return (
-        f"beyond the unambiguous range c/(2Δf) = {_unambiguous_m(step_hz):.2f} m of sweeps in steps of "
+        f"beyond the unambiguous range c/(2Δf) = {range_resolution(step_hz):.2f} m of sweeps in steps of "
         f"{step_hz / 1e6:g} MHz"
     )
 
 
 def _check_gate(name: str, gate_m: Gate | None, step_hz: float) -> None:
-    if gate_m is not None and gate_m[1] > _unambiguous_m(step_hz):
+    if gate_m is not None and gate_m[1] > range_resolution(step_hz):
         raise ConfigError(f"{name} = {list(gate_m)} m: {_folding(step_hz)}")
