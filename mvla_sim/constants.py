@@ -6,11 +6,10 @@ from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.constants import speed_of_light
 
 __all__ = ["SPEED_OF_LIGHT", "delay_to_range", "range_resolution", "range_to_delay"]
 
-SPEED_OF_LIGHT: Final[float] = float(speed_of_light)
+SPEED_OF_LIGHT: Final[float] = 299_792_458.0
 """Speed of light in vacuum, m/s (exact by definition)."""
 
 Value = TypeVar("Value", float, NDArray[np.float32], NDArray[np.float64])

@@ -18,7 +18,12 @@ settings.load_profile("mvla")
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory):
-    """Keep the user's cache out of the tests, and the tests out of the user's cache."""
+    """Keep the user's cache out of the tests, and the tests out of the user's cache.
+
+    The processes of one run share theirs, so that a scene is traced once; tests that damage files have their own.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MVLA_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("MVLA_CACHE_DIR", str(folder / "cache"))
         yield

@@ -82,8 +82,13 @@ def results(tmp_path_factory):
     return folder
 
 
-def test_report_is_whole_in_itself(results):
-    page = write_report(results)
+@pytest.fixture(scope="module")
+def page(results):
+    """Their report."""
+    return write_report(results)
+
+
+def test_report_is_whole_in_itself(results, page):
     reader = read(page)
     assert reader.loads == []
     assert len(reader.images) == PICTURES
@@ -101,8 +106,8 @@ def test_report_is_whole_in_itself(results):
     assert set(pd.read_csv(results / "thresholds.csv")["snr_db"]) == {0.0, 10.0, 20.0}
 
 
-def test_same_results_give_the_same_page(results):
-    first = write_report(results).read_bytes()
+def test_same_results_give_the_same_page(results, page):
+    first = page.read_bytes()
     assert write_report(results).read_bytes() == first
 
 
@@ -139,7 +144,7 @@ def test_a_processed_vehicle_is_shown_and_judged(results, tmp_path):
     assert claims.loc["C14", "verdict"] == "holds"
 
 
-def test_failed_and_missing_cases_are_named_on_top_and_in_the_claims(results, tmp_path):
+def test_failed_and_missing_cases_are_named_on_top_and_in_the_claims(results, page, tmp_path):
     shutil.copytree(results, tmp_path / "r")
     file = tmp_path / "r" / "star-optimal" / "table.csv"
     table = pd.read_csv(file, dtype={"error": str, "status": str})
@@ -152,11 +157,11 @@ def test_failed_and_missing_cases_are_named_on_top_and_in_the_claims(results, tm
     claims = pd.read_csv(tmp_path / "r" / "claims.csv").set_index("number")
     assert claims.loc["C3", "verdict"] == "not tested"  # one condition has no case left
     assert f"(1 failed, {half} missing)" in claims.loc["C3", "detail"]
-    assert "Not finished" not in write_report(results).read_text(encoding="utf-8")
+    assert "Not finished" not in page.read_text(encoding="utf-8")
 
 
-def test_key_figures_are_those_of_the_tables(results):
-    text = write_report(results).read_text(encoding="utf-8")
+def test_key_figures_are_those_of_the_tables(results, page):
+    text = page.read_text(encoding="utf-8")
     claims = pd.read_csv(results / "claims.csv")
     tested = claims[claims["verdict"] != "not tested"]
     assert f"<b>{(tested['verdict'] == 'holds').sum()} of {len(tested)}</b>" in text
@@ -180,14 +185,14 @@ def test_cells_are_escaped_and_verdicts_are_words():
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine; Debian has it in its package chromium")
 @pytest.mark.slow
-def test_a_browser_shows_the_report_at_phone_width(results, tmp_path):
+def test_a_browser_shows_the_report_at_phone_width(page, tmp_path):
     """No error in the console, every picture loads, and nothing scrolls sideways at 380 px."""
-    page = write_report(results).read_text(encoding="utf-8")
-    assert "<script" not in page
+    text = page.read_text(encoding="utf-8")
+    assert "<script" not in text
     (tmp_path / "probe.html").write_text(
         '<!DOCTYPE html><meta charset="utf-8"><style>iframe { border: 0; width: 380px }</style><body><script>'
         "window.onerror = e => console.error(e); const frame = document.createElement('iframe');"
-        f"frame.srcdoc = new TextDecoder().decode(Uint8Array.from(atob('{base64.b64encode(page.encode()).decode()}'), "
+        f"frame.srcdoc = new TextDecoder().decode(Uint8Array.from(atob('{base64.b64encode(text.encode()).decode()}'), "
         "c => c.charCodeAt(0))); frame.onload = () => { const inner = frame.contentDocument;"
         "document.title = JSON.stringify({width: inner.documentElement.scrollWidth, seen: frame.clientWidth,"
         "images: [...inner.images].map(i => i.complete && i.naturalWidth)}); }; document.body.append(frame);</script>",

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from mvla_sim.cluster.worker import thread_counts
 from mvla_sim.errors import DataError
-from mvla_sim.sweep.jobs import run_cases
 
 POISON = "MVLA_TEST_POISON"
 """Key of a case that kills its worker."""
@@ -58,6 +57,8 @@ def die_once(number, poison, mark):
 
 
 def run_cases_or_die(channel, cases):
+    from mvla_sim.sweep.jobs import run_cases  # noqa: PLC0415 - what takes seconds, and is needed here alone
+
     if any(case.key == os.environ.get(POISON) for case in cases):
         os.kill(os.getpid(), signal.SIGKILL)
     return run_cases(channel, cases)

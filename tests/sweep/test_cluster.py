@@ -53,6 +53,13 @@ def undisturbed(tmp_path_factory):
     return plan, run_plan(plan, folder / "out", workers=0).table
 
 
+@pytest.fixture(scope="module")
+def local():
+    """Two workers on this machine, which replace each other where they die."""
+    with open_cluster(2) as cluster:
+        yield cluster
+
+
 def assert_same(table, expected):
     pd.testing.assert_frame_equal(numbers(table), numbers(expected), check_exact=True)
 
@@ -139,30 +146,30 @@ def test_leaving_does_not_wait_for_what_runs():
     assert not alive(pid)
 
 
-def test_only_the_task_that_kills_its_workers_is_given_up(tmp_path):
-    with open_cluster(2) as cluster:
-        results = dict(cluster.run(tasks.die, [(n, 5) for n in range(12)], label="die"))
-        assert {n: r.reason for n, r in results.items()} == {n: "worker died" if n == 5 else "" for n in range(12)}
-        assert isinstance(results[5].error, WorkerDiedError)
-        assert results[5].deaths == cluster.deaths == 3
-        again = dict(cluster.run(tasks.die_once, [(n, 3, str(tmp_path / "mark")) for n in range(6)], label="once"))
-        assert [again[n].value for n in range(6)] == list(range(6))
-        assert again[3].deaths == 1
+def test_only_the_task_that_kills_its_workers_is_given_up(local, tmp_path):
+    before = local.deaths
+    results = dict(local.run(tasks.die, [(n, 5) for n in range(12)], label="die"))
+    assert {n: r.reason for n, r in results.items()} == {n: "worker died" if n == 5 else "" for n in range(12)}
+    assert isinstance(results[5].error, WorkerDiedError)
+    assert results[5].deaths == local.deaths - before == 3
+    again = dict(local.run(tasks.die_once, [(n, 3, str(tmp_path / "mark")) for n in range(6)], label="once"))
+    assert [again[n].value for n in range(6)] == list(range(6))
+    assert again[3].deaths == 1
 
 
 def test_a_result_that_dies_with_its_worker_is_made_again():
     """Dask calls it lost; the run goes on, and no death is laid on the task."""
-    with open_cluster(1) as cluster:
-        cluster.start()
-        task = module._Submitted(0, ())
-        task.future = SimpleNamespace(status="lost")
-        cluster._events.put((77, task.future))
-        assert cluster._wait({77: task}) == [(task, None)]
-        assert (task.deaths, cluster.deaths) == (0, 0)
-        task.future = SimpleNamespace(status="cancelled")  # as when the scheduler is gone
-        cluster._events.put((78, task.future))
-        with pytest.raises(RuntimeUnfitError, match="the connection is lost"):
-            cluster._wait({78: task})
+    cluster = module.DaskCluster("workers", print)
+    cluster._client = SimpleNamespace(status="running", gather=list)
+    task = module._Submitted(0, ())
+    task.future = SimpleNamespace(status="lost")
+    cluster._events.put((77, task.future))
+    assert cluster._wait({77: task}) == [(task, None)]
+    assert (task.deaths, cluster.deaths) == (0, 0)
+    task.future = SimpleNamespace(status="cancelled")  # as when the scheduler is gone
+    cluster._events.put((78, task.future))
+    with pytest.raises(RuntimeUnfitError, match="the connection is lost"):
+        cluster._wait({78: task})
 
 
 @pytest.mark.parametrize(
@@ -188,10 +195,10 @@ def test_bad_choices_are_one_line():
 
 def test_a_shared_cache_spares_tracing(tmp_path, monkeypatch):
     """What one machine has left in fsspec's memory, here and in no file, another one finds."""
-    plan = expand(experiment(tmp_path, 'method = ["bp"]\n"scene.ray_tracing.seed" = [17]\n'))
     with shared_cache("memory://mvla"):
         for name in ("one", "other"):
             monkeypatch.setenv(VARIABLE, str(tmp_path / name))
+            plan = expand(experiment(tmp_path, 'method = ["bp"]\n"scene.ray_tracing.seed" = [17]\n'))
             result = run_plan(plan, tmp_path / f"{name}-out", workers=0)
             assert result.count("done") == 1
             monkeypatch.setattr("mvla_sim.channel.simulate.ViewTracer", None)
@@ -200,13 +207,12 @@ def test_a_shared_cache_spares_tracing(tmp_path, monkeypatch):
     ]
 
 
-def test_a_worker_killed_in_mid_sweep_costs_nothing(undisturbed, tmp_path, monkeypatch):
+def test_a_worker_killed_in_mid_sweep_costs_nothing(undisturbed, local, tmp_path, monkeypatch):
     plan, expected = undisturbed
     monkeypatch.setattr("mvla_sim.sweep.schedule.BATCH_S", 0.0)
-    with open_cluster(2) as cluster:
-        pids = {finished.value for _, finished in cluster.run(tasks.wait, [(0.1,)] * 8, label="wait")}
-        keep_then(monkeypatch, 3, lambda: os.kill(max(pids), signal.SIGKILL))
-        result = run_plan(plan, tmp_path / "out", cluster=cluster)
+    pids = {finished.value for _, finished in local.run(tasks.wait, [(0.1,)] * 8, label="wait")}
+    keep_then(monkeypatch, 3, lambda: os.kill(max(pids), signal.SIGKILL))
+    result = run_plan(plan, tmp_path / "out", cluster=local)
     assert len(result.table) == len(plan.cases)
     assert_same(result.table, expected)
 
@@ -216,7 +222,7 @@ def test_a_case_that_kills_its_workers_fails_alone(undisturbed, tmp_path, monkey
     monkeypatch.setattr(module, "MOST_DEATHS", 1)  # a worker takes seconds to come back
     monkeypatch.setattr(run_module, "run_cases", tasks.run_cases_or_die)
     monkeypatch.setenv(tasks.POISON, plan.cases[9].key)
-    result = run_plan(plan, tmp_path / "out", workers=2)
+    result = run_plan(plan, tmp_path / "out", workers=1)
     assert list(result.table.loc[result.table["status"] == "failed", "case"]) == [9]
     assert result.table["error"][9] == "worker died"
     assert result.notes[-1] == "a worker died once while it ran case 9 of box"
@@ -231,7 +237,7 @@ def test_workers_that_keep_dying_end_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(run_module, "run_cases", tasks.run_cases_or_die)
     monkeypatch.setenv(tasks.POISON, plan.cases[0].key)
     with pytest.raises(RuntimeUnfitError, match="Is there enough memory"):
-        run_plan(plan, tmp_path / "out", workers=2)
+        run_plan(plan, tmp_path / "out", workers=1)
     table = load_table(tmp_path / "out").set_index("case")
     assert table.loc[0, "status"] != "done"
     assert len(table) == len(plan.cases)  # written, with what was finished by then
@@ -246,6 +252,7 @@ def test_an_existing_cluster_traces_computes_and_survives_its_scheduler(undistur
     file = next(iter(plan.sources.values())).file
     content = file.read_bytes()
     monkeypatch.setenv(VARIABLE, str(here))
+    plan = expand(experiment(tmp_path, AXES))  # its channels are in the cache of the moment
     with open_cluster(None, existing.address) as cluster:
         states = [finished.value for _, finished in cluster.run(tasks.state, [()] * 8, label="state")]
         assert all(threads == {"drjit": 1, "algebra": 1} for _, threads in states)
@@ -278,9 +285,9 @@ def test_an_existing_cluster_traces_computes_and_survives_its_scheduler(undistur
 @pytest.mark.slow
 def test_an_existing_cluster_with_a_shared_cache_a_full_disk_and_a_case_that_raises(existing, tmp_path, monkeypatch):
     axes = 'threshold_sigma = [1e6, 4.0]\nseed = [0, 1, 2]\n"scene.ray_tracing.max_paths" = [1, 1000000]\n'
-    plan = expand(experiment(tmp_path, axes))
     existing.start(threads=2)
     monkeypatch.setenv(VARIABLE, str(tmp_path / "our-cache"))
+    plan = expand(experiment(tmp_path, axes))
     monkeypatch.setattr("mvla_sim.sweep.schedule.BATCH_S", 0.0)
     original = Store.add
 

@@ -159,10 +159,11 @@ def test_ctrl_c_is_one_line_and_the_next_run_goes_on(tmp_path):
 
 KILLED = """
 import os, signal, sys
-from mvla_sim.cli import main
+import mvla_sim.sweep.run
+from mvla_sim.cli.app import run
 from mvla_sim.sweep import schedule
 from mvla_sim.sweep.store import Store
-moment, rows, schedule.BATCH_S = sys.argv.pop(1), int(sys.argv.pop(1)), 0.2
+schedule.BATCH_S = 0.2
 added = 0
 def watched(name):
     original = getattr(Store, name)
@@ -170,38 +171,50 @@ def watched(name):
         global added
         result = original(self, *arguments)
         added += name == "add"
-        if name == moment and added >= rows:
+        if name == moment and added >= int(rows):
             os.killpg(0, signal.SIGKILL)
         return result
     setattr(Store, name, method)
 for name in ("_prepare", "rows", "add", "flush"):
     watched(name)
-main()
+for line in sys.stdin:
+    moment, rows, workers = line.split()
+    if not (child := os.fork()):
+        os.setsid()
+        os.dup2(2, 1)
+        os._exit(run([*sys.argv[1:], "--workers", workers]))
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
-"""``mvla`` that ends itself and its workers, as kill -9 does, after a method of the store, once so many rows are in."""
+"""``mvla`` that ends itself and its workers, as kill -9 does, after a method of the store, once so many rows are in.
+
+Each line of its input is a run in a process of its own; forked, because each would take seconds to import the same.
+"""
 MOMENTS = (
-    ("_prepare", 0), ("rows", 0), ("add", 1), ("flush", 10), ("add", 30), ("flush", 1), ("add", 7), ("flush", 40),
-    ("add", 2), ("flush", 25),
+    ("_prepare", 0, 2), ("rows", 0, 2), ("add", 1, 0), ("flush", 10, 2), ("add", 30, 0), ("flush", 1, 0), ("add", 7, 2),
+    ("flush", 40, 0), ("add", 2, 0), ("flush", 25, 2),
 )  # fmt: skip
-"""When the store was made, was read, before a commit, and after one."""
+"""When the store was made, was read, before a commit, and after one; and how many workers there are."""
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)  # eleven starts
+@pytest.mark.timeout(900)  # eleven runs
 def test_killed_ten_times_the_tables_are_those_of_an_uninterrupted_run(tmp_path):
     """kill -9 of the run and its workers at chosen moments, from its start to the middle of its cases."""
     file, folder = write(tmp_path, MANY), tmp_path / "killed"
     plan = expand(load_experiment(file))
-    whole = run_plan(plan, tmp_path / "whole", workers=2).table
+    whole = run_plan(plan, tmp_path / "whole", workers=0).table
     counts = [0]
-    for moment, rows in MOMENTS:
-        command = ["run", str(file), "-o", str(folder), "--workers", "2"]
-        killed = [sys.executable, "-c", KILLED, moment, str(rows), *command]
-        child = subprocess.run(killed, capture_output=True, check=False, timeout=240, start_new_session=True)
-        assert child.returncode == -signal.SIGKILL, child.stderr
-        counts.append(stored(plan, folder))
-        if moment == "flush":
-            assert counts[-1] >= counts[-2] + rows  # what was committed
+    command = ["run", str(file), "-o", str(folder)]
+    killed = [sys.executable, "-c", KILLED, *command]
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # no threads where it forks
+    with subprocess.Popen(killed, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment) as parent:
+        for moment, rows, workers in MOMENTS:
+            print(moment, rows, workers, file=parent.stdin, flush=True)
+            assert parent.stdout.readline().split() == [str(-signal.SIGKILL)]
+            counts.append(stored(plan, folder))
+            if moment == "flush":
+                assert counts[-1] >= counts[-2] + rows  # what was committed
+        parent.stdin.close()
     assert counts == sorted(counts)  # nothing that was stored is lost
     assert counts[-1] < len(whole)
     mvla(*command)

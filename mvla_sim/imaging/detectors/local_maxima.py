@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat
-from scipy.signal import find_peaks
 
 from mvla_sim.dsp import noise_level
 from mvla_sim.imaging.pdp import Pdp
@@ -33,6 +32,8 @@ class LocalMaxima(PeakDetector):
 
     def peaks_of(self, pdp: Pdp) -> Peaks:
         """Find the components of every view."""
+        from scipy.signal import find_peaks  # noqa: PLC0415 - a quarter of what each worker and command would import
+
         distance = max(1.0, self.min_separation * pdp.broadening * pdp.resolution_m / pdp.step_m)
         ranges, powers, sizes = [], [], []
         for power, level, sigma in zip(pdp.power, *noise_level(pdp.power), strict=True):
