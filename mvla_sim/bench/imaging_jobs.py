@@ -1,4 +1,4 @@
-"""What is timed between a CIR file and range profiles."""
+"""What is timed between a CIR file and an image's score: the way to range profiles, and their projection."""
 
 from __future__ import annotations
 
@@ -8,15 +8,20 @@ from pathlib import Path
 import numpy as np
 
 from mvla_sim.bench.child import Job
-from mvla_sim.bench.inputs import EXTENT_M, ring
+from mvla_sim.bench.inputs import EXTENT_M, RESOLUTION_M, grid_of, ring
 from mvla_sim.channel.cir import INTERACTIONS, Cir
 from mvla_sim.constants import range_to_delay
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.imaging.imaging_settings import imaging_settings
+from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
 from mvla_sim.imaging.likelihood import kernel_scales, likelihood_profiles
 from mvla_sim.imaging.pdp import Pdp, compute_pdp
+from mvla_sim.imaging.projection import RangeProfiles, project
 
-__all__ = ["FrontEndJob"]
+__all__ = ["FrontEndJob", "ProjectionJob"]
+
+NODES_PER_SIGMA = 16
+SAMPLES_PER_CELL = 4
+RADIUS_M = 0.32
 
 
 class FrontEndJob(Job):
@@ -67,3 +72,28 @@ class FrontEndJob(Job):
     def facts(self) -> dict[str, float]:
         """Peaks a view."""
         return {"peaks_per_view": self.found} if self.found else {}
+
+
+class ProjectionJob(Job):
+    """Project random range profiles onto a grid, as dense as the method makes them.
+
+    Those of ``mvla-gr`` have distances, hence angular support, those of ``bp`` none.
+    """
+
+    def __init__(self, method: str, voxels: float, views: float) -> None:
+        self.grid, self.views = grid_of(voxels), ring(views)
+        soft = method == "mvla-gr"
+        step = (
+            ImagingSettings().mvla.kappa * RESOLUTION_M / NODES_PER_SIGMA if soft else RESOLUTION_M / SAMPLES_PER_CELL
+        )
+        near, far = self.grid.range_span_m(self.views.positions_m)
+        rng = np.random.default_rng(1)
+        shape = (len(self.views), int((far - near) / step) + 3)
+        values = rng.random(shape, np.float32)
+        distance = rng.random(shape, np.float32) if soft else None
+        self.profiles = RangeProfiles(values, near - step, step, distance, RADIUS_M)
+
+    def call(self, number: int) -> None:
+        """Project; the result is a NumPy array, so everything has been evaluated."""
+        del number
+        np.asarray(project(self.grid, self.views, self.profiles).total)

@@ -150,7 +150,7 @@ def _projection(quick: bool) -> tuple[Series, ...]:
     voxels = (10_000.0, 160_000.0) if quick else (10_000.0, 40_000.0, 160_000.0, 640_000.0, 2_560_000.0)
     views = (36.0, 144.0) if quick else (9.0, 36.0, 72.0, 144.0, 720.0)
     base = {"voxels": 160_000.0, "views": 36.0 if quick else 72.0}
-    job = Work("mvla_sim.bench.projection_jobs:ProjectionJob", engine="projector")
+    job = Work("mvla_sim.bench.imaging_jobs:ProjectionJob", engine="projector")
     projections = tuple(
         Series(
             "projection", method, replace(job, params={"method": method}), base, {"voxels": voxels, "views": views},

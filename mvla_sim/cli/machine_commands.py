@@ -78,8 +78,7 @@ def bench(
     cores: Annotated[int, typer.Option(help="Of the estimate: cores a node.")] = 32,
 ) -> None:
     """Measure how cost grows with rays, views, facets, voxels, thresholds and workers; estimate a large campaign."""
-    from mvla_sim.bench.bench_files import FILES, disturbed_note, write_bench
-    from mvla_sim.bench.cost_tables import axis_tables, cost_lines, estimate_lines
+    from mvla_sim.bench.cost_tables import FILES, axis_tables, cost_lines, disturbed_note, estimate_lines, write_bench
     from mvla_sim.bench.estimate import CostScenario, costs_from, estimate
     from mvla_sim.bench.stages import STAGES, measure_stages, series_of
     from mvla_sim.engine.machine import core_count, cpu_name
@@ -122,8 +121,7 @@ def bench(
 
 
 def _ratios(output: Path, stages: Sequence[str]) -> None:
-    from mvla_sim.bench.bench_files import write_ratios
-    from mvla_sim.bench.cost_tables import ratio_line
+    from mvla_sim.bench.cost_tables import ratio_line, write_ratios
     from mvla_sim.bench.ratios import check_stages, measure_ratios
     from mvla_sim.engine.machine import core_count, cpu_name
     from mvla_sim.files import check_writable, make_folder

@@ -13,7 +13,7 @@ import logging
 import queue
 import uuid
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -90,7 +90,7 @@ class DaskCluster(Cluster):
         *,
         label: str,
         idle: Callable[[], None] = lambda: None,
-    ) -> Iterator[tuple[int, Finished]]:
+    ) -> Generator[tuple[int, Finished]]:
         """Keep a few tasks a worker in flight."""
         self.start()
         submitted: dict[int, _Submitted] = {}
@@ -146,10 +146,12 @@ class DaskCluster(Cluster):
             attempt, future = self._events.get(timeout=WAIT_S)
             while True:
                 if (task := submitted.get(attempt)) is not None:
-                    if future is None:
-                        self._count_begin(task)
-                    else:
+                    if future is not None:
                         ended.append(submitted.pop(attempt))
+                    elif task.running:  # begun before, and never ended
+                        self._count_death(task)
+                    else:
+                        task.running = True
                 attempt, future = self._events.get_nowait()
         gone = [task for task in ended if task.future.status == "lost"]
         if gone:
@@ -183,11 +185,6 @@ class DaskCluster(Cluster):
     def _on_begin(self, event: tuple[float, int]) -> None:
         """A worker begins a task; called in the client's own thread."""
         self._events.put((event[1], None))
-
-    def _count_begin(self, task: _Submitted) -> None:
-        if task.running:  # begun before, and never ended
-            self._count_death(task)
-        task.running = True
 
     def _count_death(self, task: _Submitted) -> None:
         task.deaths += 1

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from typing import Any
 
 from mvla_sim.cluster.interface import Arguments, Cluster, Finished, Shared
-from mvla_sim.cluster.worker import Broken, attempt, single_threaded_algebra
+from mvla_sim.cluster.worker import attempt, single_threaded_algebra
 from mvla_sim.interrupt import deferred_interrupt
 
 __all__ = ["InProcess"]
@@ -22,7 +22,7 @@ class InProcess(Cluster):
         *,
         label: str,
         idle: Callable[[], None] = lambda: None,
-    ) -> Iterator[tuple[int, Finished]]:
+    ) -> Generator[tuple[int, Finished]]:
         """Call it here, one task after the other."""
         del label, idle
         for number, task in enumerate(tasks):
@@ -36,5 +36,5 @@ class InProcess(Cluster):
 def _value(shared: Shared) -> Any:
     if shared.kept is None:
         finished = attempt("this process", shared.function, *shared.arguments)
-        shared.kept = finished.value if finished.error is None else Broken(finished.error)
+        shared.kept = finished.value if finished.error is None else finished
     return shared.kept

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,27 +27,13 @@ class WorkerDiedError(TaskError):
 
 @dataclass(frozen=True, eq=False)
 class Finished:
-    """What came of a task.
+    """What came of a task."""
 
-    Attributes
-    ----------
-    value
-        What the function returned; None where it failed.
-    error
-        What it raised; :class:`TaskError` in place of exceptions of others, :class:`WorkerDiedError`, or None.
-    seconds
-        Time it took on its worker.
-    worker
-        Name of the worker.
-    deaths
-        Workers that died while they ran it.
-    """
-
-    value: Any = None
-    error: MvlaError | None = None
-    seconds: float = 0.0
+    value: Any = None  # what the function returned
+    error: MvlaError | None = None  # what it raised; a TaskError in place of others' exceptions, or a WorkerDiedError
+    seconds: float = 0.0  # on its worker
     worker: str = ""
-    deaths: int = 0
+    deaths: int = 0  # of workers while they ran it
 
     @property
     def reason(self) -> str:
@@ -101,7 +87,7 @@ class Cluster:
         *,
         label: str,
         idle: Callable[[], None] = lambda: None,
-    ) -> Iterator[tuple[int, Finished]]:
+    ) -> Generator[tuple[int, Finished]]:
         """Call a function once a task, and yield each task's number and result in the order they finish.
 
         Parameters

@@ -45,11 +45,8 @@ def open_cluster(
         raise ConfigError(
             f"scheduler = {scheduler}: must be an address with a port, as tcp://10.0.0.1:8786", setting="scheduler"
         )
-    cluster = _chosen(core_count() if workers is None else workers, scheduler, out)
-    try:
+    with contextlib.closing(_chosen(core_count() if workers is None else workers, scheduler, out)) as cluster:
         yield cluster
-    finally:
-        cluster.close()
 
 
 def _chosen(workers: int, scheduler: str | None, out: Callable[[str], None]) -> Cluster:

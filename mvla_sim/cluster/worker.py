@@ -11,7 +11,7 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -22,8 +22,8 @@ from mvla_sim.engine.provenance import code_digest
 from mvla_sim.errors import MvlaError, RuntimeUnfitError, reason
 
 __all__ = [
-    "VERSIONED", "Broken", "Context", "UnfitWorkerError", "attempt", "call", "fair_share", "make", "program_digest",
-    "single_threaded_algebra", "thread_counts",
+    "VERSIONED", "Context", "UnfitWorkerError", "attempt", "call", "fair_share", "make", "program_digest",
+    "single_threaded_algebra",
 ]  # fmt: skip
 
 VERSIONED: Final = ("mvla-sim", *PACKAGES)
@@ -32,34 +32,13 @@ VERSIONED: Final = ("mvla-sim", *PACKAGES)
 
 @dataclass(frozen=True)
 class Context:
-    """What a worker must know of the run.
+    """What a worker must know of the run."""
 
-    Attributes
-    ----------
-    topic
-        Name under which it announces the tasks it begins.
-    digest
-        :func:`program_digest` of the coordinator; None where the workers cannot have any other.
-    threads
-        Threads of Dr.Jit in each worker process; None lets the worker find its share.
-    shared_hosts
-        (host, threads granted to all workers there) of hosts with several workers.
-    environment
-        Variables to set.
-    """
-
-    topic: str
-    digest: str | None
-    threads: int | None
-    shared_hosts: tuple[tuple[str, int], ...] = ()
-    environment: tuple[tuple[str, str], ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Broken:
-    """In place of a shared value that could not be made."""
-
-    error: MvlaError
+    topic: str  # name under which it announces the tasks it begins
+    digest: str | None  # program_digest() of the coordinator; None where the workers cannot have any other
+    threads: int | None  # of Dr.Jit in each worker process; None lets the worker find its share
+    shared_hosts: tuple[tuple[str, int], ...] = ()  # threads granted to all workers of hosts that have several
+    environment: tuple[tuple[str, str], ...] = ()  # variables to set
 
 
 class UnfitWorkerError(RuntimeUnfitError):
@@ -82,10 +61,10 @@ def call(context: Context, number: int, function: Callable[..., Any], *arguments
 
 
 def make(context: Context, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Make a shared value, or :class:`Broken`; never raises."""
+    """Make a shared value; where that fails, what came of it takes its place. Never raises."""
     with _one_task, _no_nested_dask():
         finished = attempt("", function, *arguments, context=context)
-    return finished.value if finished.error is None else Broken(finished.error)
+    return finished.value if finished.error is None else finished
 
 
 def attempt(worker: str, function: Callable[..., Any], *arguments: Any, context: Context | None = None) -> Finished:
@@ -96,7 +75,7 @@ def attempt(worker: str, function: Callable[..., Any], *arguments: Any, context:
     try:
         if context is not None:
             _prepare(context)
-        broken = next((argument for argument in arguments if isinstance(argument, Broken)), None)
+        broken = next((argument for argument in arguments if isinstance(argument, Finished)), None)
         if broken is None:
             value = function(*arguments)
         else:
@@ -114,18 +93,9 @@ def _sendable(error: Exception) -> MvlaError:
 
 
 def fair_share(granted: int, granted_to_all: int, machine: int, usable: int) -> int:
-    """Threads a worker of somebody's cluster may use.
+    """Threads a worker of somebody's cluster may use: of those it, and all on its host together, were started with.
 
-    Parameters
-    ----------
-    granted
-        Threads it was started with.
-    granted_to_all
-        The same of all workers on its host together.
-    machine
-        Cores of the host.
-    usable
-        Cores the worker may run on.
+    The host has ``machine`` cores, and the worker may run on ``usable`` of them.
     """
     if granted_to_all > machine:
         granted = machine * granted // granted_to_all
@@ -139,22 +109,12 @@ def program_digest() -> str:
     return hashlib.sha256(f"{sorted(versions.items())} {code_digest()}".encode()).hexdigest()
 
 
-def thread_counts() -> dict[str, int]:
-    """Threads that Dr.Jit and linear algebra use here; several algebra libraries count as their largest."""
-    import threadpoolctl  # noqa: PLC0415
-
-    drjit = importlib.import_module("drjit")
-    algebra = [int(pool["num_threads"]) for pool in threadpoolctl.threadpool_info()]
-    return {"drjit": int(drjit.thread_count()), "algebra": max(algebra, default=1)}
-
-
-@contextlib.contextmanager
-def single_threaded_algebra() -> Iterator[None]:
-    """Within the block linear algebra uses one thread, so that no number depends on how many cores there are."""
+def single_threaded_algebra() -> contextlib.AbstractContextManager[object]:
+    """From now on, or within a block, linear algebra uses one thread: no number depends on how many cores there are."""
     import threadpoolctl  # noqa: PLC0415 - only where cases are computed
 
-    with threadpoolctl.threadpool_limits(1):
-        yield
+    limits: contextlib.AbstractContextManager[object] = threadpoolctl.threadpool_limits(1)
+    return limits
 
 
 def _no_nested_dask() -> contextlib.AbstractContextManager[object]:
@@ -175,11 +135,9 @@ def _prepare(context: Context) -> None:
                                "machine")  # fmt: skip
     os.environ.update(dict(context.environment))
     set_threads(_own_share(context) if context.threads is None else context.threads)
-    import threadpoolctl  # noqa: PLC0415
-
     for library in ("numpy", "scipy.linalg"):  # what is loaded later reads the variables that workers are started with
         importlib.import_module(library)
-    threadpoolctl.threadpool_limits(1)
+    single_threaded_algebra()
     _prepared_for = context
 
 

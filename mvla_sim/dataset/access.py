@@ -5,20 +5,18 @@ from __future__ import annotations
 import bisect
 import os
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from mvla_sim.channel.cir import Cir
 from mvla_sim.dataset.campaign import SPLITS, CampaignSettings
 from mvla_sim.dataset.index import Index
 from mvla_sim.dataset.reader import ShardReader
 from mvla_sim.dataset.sample import split_of
+from mvla_sim.dataset.shard import Sample
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.grid import VoxelGrid
 
@@ -27,58 +25,15 @@ __all__ = ["BenchmarkDataset", "Sample", "open_dataset"]
 OPEN_SHARDS: Final = 8
 """Shards kept open at a time."""
 
-Transform = Callable[["Sample"], Any]
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One sample: a channel and the truth about its target.
-
-    Attributes
-    ----------
-    cir
-        The channel impulse responses; ``cir.config`` are the scene's settings.
-    outline
-        The target's outline, (x, y) in metres.
-    occupancy
-        ``[ny, nx]`` uint8: bit 1 where a voxel is covered or met by the outline, bit 2 where its boundary meets it.
-    grid
-        The voxel grid of the occupancy, one layer.
-    metadata
-        Plain data: ``sample`` (its number), ``family``, ``split``, ``objects``, ``settings`` of the scene.
-    """
-
-    cir: Cir
-    outline: Any
-    occupancy: NDArray[np.uint8]
-    grid: VoxelGrid
-    metadata: Mapping[str, Any]
-
-    @property
-    def filled(self) -> NDArray[np.bool_]:
-        """Voxels that the target covers or meets, ``[1, ny, nx]``, as the truth ``filled`` of an evaluation."""
-        return np.asarray((self.occupancy & 1) > 0)[None]
-
-    @property
-    def contour(self) -> NDArray[np.bool_]:
-        """Voxels that the target's boundary meets, ``[1, ny, nx]``, as the truth ``contour`` of an evaluation."""
-        return np.asarray((self.occupancy & 2) > 0)[None]
+Transform = Callable[[Sample], Any]
 
 
 class BenchmarkDataset:
     """The samples of a dataset, or of one of its splits, in order of their numbers.
 
     It has ``len()`` and ``[k]``, which is all that a PyTorch ``DataLoader`` asks of a map-style dataset. It can be
-    pickled and used after a fork: what is handed over holds no open file.
-
-    Parameters
-    ----------
-    index
-        From :meth:`~mvla_sim.dataset.index.Index.load`.
-    split
-        ``train``, ``validation``, ``test``, or None for all.
-    transform
-        Applied to each sample by ``[k]``; to be pickled it must be a function of a module.
+    pickled and used after a fork (with a transform that is a function of a module): what is handed over holds no open
+    file. Parameters are those of :func:`open_dataset`, with the index in place of the folder.
     """
 
     def __init__(self, index: Index, split: str | None = None, transform: Transform | None = None) -> None:
@@ -114,7 +69,8 @@ class BenchmarkDataset:
             number = self.numbers[k]
         except IndexError:
             raise IndexError(f"sample {k}: allowed: 0 to {len(self) - 1}") from None
-        sample = self._read(number)
+        reader = self._reader(number // self.campaign.samples_per_shard)
+        sample = reader.sample(reader.row_of(number))
         return sample if self.transform is None else self.transform(sample)
 
     def __iter__(self) -> Iterator[Any]:
@@ -174,11 +130,6 @@ class BenchmarkDataset:
 
     def __repr__(self) -> str:
         return f"BenchmarkDataset({self.campaign.name!r}, split={self.split!r}, {len(self)} samples)"
-
-    def _read(self, number: int) -> Sample:
-        reader = self._reader(number // self.campaign.samples_per_shard)
-        made = reader.sample(reader.row_of(number))
-        return Sample(made.cir, made.cir.outline, made.occupancy, self.grid, made.metadata)
 
     def _reader(self, shard: int) -> ShardReader:
         """An open shard; the least recently used one is closed where there are too many."""

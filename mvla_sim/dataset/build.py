@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import os
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -15,20 +15,10 @@ from mvla_sim.channel.simulate import SimulationInterruptedError
 from mvla_sim.cluster.interface import Cluster, Finished, WorkerDiedError
 from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.dataset.campaign import CampaignSettings, load_campaign
-from mvla_sim.dataset.index import INDEX, FailedSample, Index, ShardEntry, file_sha256
+from mvla_sim.dataset.index import INDEX, Index, ShardEntry, file_sha256
 from mvla_sim.dataset.reader import ShardReader
 from mvla_sim.dataset.sample import check_room
-from mvla_sim.dataset.shard import (
-    Failure,
-    Made,
-    Shard,
-    ShardTask,
-    encode,
-    make_one,
-    make_shard,
-    numbers_of,
-    shard_name,
-)
+from mvla_sim.dataset.shard import FailedSample, Sample, Shard, encode, make_one, make_shard, numbers_of, shard_name
 from mvla_sim.errors import DataError, MvlaError, OutputError, RuntimeUnfitError
 from mvla_sim.files import atomic_output, check_writable, locked_folder
 from mvla_sim.interrupt import interruptible
@@ -192,9 +182,10 @@ class _Builder:
 
     def _make_shards(self, missing: Sequence[int], cluster: Cluster, advance: Advance) -> list[int]:
         """Make shards, a task each; return those whose workers died too often."""
-        tasks = ((ShardTask(self.index.campaign, number),) for number in missing)
+        tasks = ((self.index.campaign, number) for number in missing)
         deadly: list[int] = []
-        with self._running(cluster, make_shard, tasks, "shards") as finished:
+        finished = cluster.run(make_shard, tasks, label="shards", idle=self._save_if_due)
+        with contextlib.closing(finished):  # what has not begun when the block ends is given up
             for task, result in finished:
                 number = missing[task]
                 self._note_deaths(result, shard_name(number))
@@ -212,38 +203,20 @@ class _Builder:
         """Make the samples of a shard, a task each, so that the one that its workers die of fails alone."""
         campaign = self.index.campaign
         numbers = numbers_of(campaign, number)
-        found: dict[int, Made | Failure] = {}
+        found: dict[int, Sample | FailedSample] = {}
         seconds = 0.0
         tasks = ((campaign, sample) for sample in numbers)
-        with self._running(cluster, make_one, tasks, "samples") as finished:
+        finished = cluster.run(make_one, tasks, label="samples", idle=self._save_if_due)
+        with contextlib.closing(finished):
             for task, result in finished:
                 sample = numbers[task]
                 self._note_deaths(result, f"sample {sample}")
                 if result.error is not None:
                     _raise_if_final(result.error)
-                found[sample] = Failure(sample, result.reason) if result.error else result.value
+                failed = FailedSample(sample=sample, error=result.reason)
+                found[sample] = failed if result.error else result.value
                 seconds += result.seconds
-        made = [found[sample] for sample in numbers]
-        shard = encode(
-            campaign,
-            number,
-            [item for item in made if isinstance(item, Made)],
-            [item for item in made if isinstance(item, Failure)],
-            seconds,
-        )
-        self._keep(shard, cluster, advance)
-
-    @contextlib.contextmanager
-    def _running(
-        self, cluster: Cluster, function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], label: str
-    ) -> Iterator[Iterator[tuple[int, Finished]]]:
-        """Results of tasks; what has not begun when the block ends is given up."""
-        finished = cluster.run(function, tasks, label=label, idle=self._save_if_due)
-        try:
-            yield finished
-        finally:
-            if isinstance(finished, Generator):
-                finished.close()
+        self._keep(encode(campaign, number, [found[sample] for sample in numbers], seconds), cluster, advance)
 
     def _keep(self, shard: Shard, cluster: Cluster, advance: Advance) -> None:
         entry = _write(self.index.folder, self.index.campaign, shard)
@@ -291,7 +264,7 @@ def _write(folder: Path, campaign: CampaignSettings, shard: Shard) -> ShardEntry
         sha256=hashlib.sha256(shard.content).hexdigest(),
         data_sha256=shard.data_sha256,
         samples=len(numbers_of(campaign, shard.number)) - len(shard.failed),
-        failed=tuple(FailedSample(sample=failure.sample, error=failure.error) for failure in shard.failed),
+        failed=shard.failed,
         seconds=shard.seconds,
     )
 
@@ -316,7 +289,7 @@ def _whole(file: Path, campaign: CampaignSettings, number: int, listed: ShardEnt
             sha256=file_sha256(file),
             data_sha256=digest,
             samples=reader.samples.size,
-            failed=tuple(FailedSample(sample=failure.sample, error=failure.error) for failure in reader.failed),
+            failed=reader.failed,
             seconds=reader.seconds,
         )
 

@@ -36,22 +36,8 @@ def shown_samples(dataset: BenchmarkDataset, count: int = 20) -> list[int]:
 
 
 def card_text(dataset: BenchmarkDataset, picture: str | None = PICTURE) -> str:
-    """Text of the card, Markdown.
-
-    Parameters
-    ----------
-    dataset
-        All of its samples.
-    picture
-        Name of a picture of some scenes beside the card, None where there is none.
-    """
-    parts = [
-        _head(dataset, picture),
-        _statistics(dataset),
-        _made(dataset),
-        _layout(dataset),
-        _loading(),
-    ]
+    """Text of the card, Markdown, of a dataset with all of its samples; a picture of some scenes lies beside it."""
+    parts = (_head(dataset, picture), _statistics(dataset), _made(dataset), _layout(dataset), _loading())
     return "\n".join(parts)
 
 
@@ -109,7 +95,8 @@ def _statistics(dataset: BenchmarkDataset) -> str:
         "## Statistics",
         "",
         "Splits are by scene, never by view."
-        + f" But {_scenes(twins)} drawn several times, in several splits." * (twins > 0),
+        + f" But {twins} scene{'s were' if twins > 1 else ' was'} drawn several times, in several splits."
+        * (twins > 0),
         "",
         *_table(["family", *SPLITS, "all"], rows),
         "",
@@ -128,10 +115,6 @@ def _statistics(dataset: BenchmarkDataset) -> str:
             "",
         ]
     return "\n".join(lines)
-
-
-def _scenes(count: int) -> str:
-    return f"{count} scene{'s were' if count > 1 else ' was'}"
 
 
 def _made(dataset: BenchmarkDataset) -> str:

@@ -15,7 +15,7 @@ from mvla_sim.channel.simulate import SimulationInterruptedError, simulate
 from mvla_sim.dataset.build import stored_shards
 from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.dataset.sample import check_room, draw_sample, family_of
-from mvla_sim.dataset.shard import Made, encode, numbers_of, occupancy_of
+from mvla_sim.dataset.shard import Sample, encode, numbers_of, occupancy_of
 from mvla_sim.engine.backend import set_threads
 from mvla_sim.engine.machine import core_count
 from mvla_sim.errors import DataError, RuntimeUnfitError, reason
@@ -34,53 +34,25 @@ LOOKED_AT: Final = 2000
 
 @dataclass(frozen=True, eq=False)
 class _Probe:
-    """A part of a sample: some of its views.
+    """A part of a sample: some of its views."""
 
-    Attributes
-    ----------
-    weight
-        How many samples it stands for, relative to the others.
-    made
-        The part.
-    views
-        Number of views of the whole.
-    compiling_s
-        What the first pass took longer than the second.
-    seconds
-        Of the whole.
-    """
-
-    weight: float
-    made: Made
-    views: int
-    compiling_s: float
-    seconds: float
+    weight: float  # how many samples it stands for, relative to the others
+    made: Sample
+    views: int  # of the whole
+    compiling_s: float  # what the first pass took longer than the second
+    seconds: float  # of the whole
 
 
 @dataclass(frozen=True)
 class BuildForecast:
-    """What a build will make.
+    """What a build will make."""
 
-    Attributes
-    ----------
-    samples, shards
-        Of the whole dataset.
-    stored
-        Shards that are whole already.
-    bytes
-        Of the whole dataset on disk.
-    seconds
-        For what is missing, with the workers given.
-    basis
-        What bytes and seconds were found from.
-    """
-
-    samples: int
+    samples: int  # of the whole dataset
     shards: int
-    stored: int
-    bytes: float
-    seconds: float
-    basis: str
+    stored: int  # shards that are whole already
+    bytes: float  # of the whole dataset on disk
+    seconds: float  # for what is missing, with the workers given
+    basis: str  # what bytes and seconds were found from
 
 
 def estimate(campaign: CampaignSettings, folder: Path | None = None, workers: int | None = None) -> BuildForecast:
@@ -168,16 +140,17 @@ def _probe(campaign: CampaignSettings, number: int, weight: float) -> _Probe:
         cir = simulate(part, cache=False)
         times.append(time.perf_counter())
     first, again = np.diff(times)
-    metadata = {"settings": settings.model_dump(mode="json")}
-    made = Made(number, cir, occupancy_of(whole.outline, VoxelGrid.from_settings(campaign.grid)), metadata)
+    grid = VoxelGrid.from_settings(campaign.grid)
+    metadata = {"sample": number, "settings": settings.model_dump(mode="json")}
+    made = Sample(cir, occupancy_of(whole.outline, grid), grid, metadata)
     return _Probe(weight, made, views, max(0.0, float(first - again)), float(again) / chosen.size * views)
 
 
 def _sample_bytes(campaign: CampaignSettings, probes: list[_Probe]) -> float:
     """Bytes of a sample: shards of all parts with all of their views, and with half of them, tell the rest."""
 
-    def size(parts: list[Made]) -> int:
-        return len(encode(campaign, 0, parts, [], 0.0).content)
+    def size(parts: list[Sample]) -> int:
+        return len(encode(campaign, 0, parts, 0.0).content)
 
     parts = [probe.made for probe in probes]
     halves = [replace(part, cir=part.cir.select(np.arange((part.cir.n_view + 1) // 2))) for part in parts]

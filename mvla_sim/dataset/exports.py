@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from scipy.io import savemat
 
 from mvla_sim.channel.cir import INTERACTIONS, Cir
-from mvla_sim.dataset.access import BenchmarkDataset, Sample
+from mvla_sim.dataset.access import BenchmarkDataset
+from mvla_sim.dataset.shard import Sample
 from mvla_sim.errors import ConfigError, DataError, OutputError
-from mvla_sim.files import atomic_output, check_writable
+from mvla_sim.files import atomic_output, check_writable, make_folder
 from mvla_sim.progress import progress
 from mvla_sim.scene.world import SceneSettings
 
@@ -65,11 +66,7 @@ def export_npz(dataset: BenchmarkDataset, folder: str | os.PathLike[str]) -> lis
     after the first are not kept. Of such paths the interaction code has each kind once, in the order of the codes.
     """
     _check_plain(dataset)
-    place = Path(folder)
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{place}: cannot be made ({error.strerror or error})") from error
+    place = make_folder(folder)
     targets = [place / f"sample-{number:06d}" for number in dataset.numbers]
     if there := [target for target in targets if os.path.lexists(target)]:
         raise OutputError(f"{there[0]}: is there already; choose another folder")

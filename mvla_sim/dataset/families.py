@@ -79,7 +79,6 @@ class CircleFamily(Family):
     """Cylinders."""
 
     makes: ClassVar = Cylinder
-
     shape: Literal["circle"]
     facets: Annotated[int, Field(ge=3, le=10_000, description="flat sides that stand for the round one")] = 360
 
@@ -93,7 +92,6 @@ class SquareFamily(Family):
     """Squares."""
 
     makes: ClassVar = Square
-
     shape: Literal["square"]
 
     def form(self, size_m: float, random: np.random.Generator) -> dict[str, Any]:
@@ -106,7 +104,6 @@ class RectangleFamily(Family):
     """Rectangles."""
 
     makes: ClassVar = Rectangle
-
     shape: Literal["rectangle"]
     aspect: Annotated[Real, bounded(above=0, most=1)] = Field(description="width over length")
 
@@ -119,7 +116,6 @@ class TriangleFamily(Family):
     """Equilateral triangles."""
 
     makes: ClassVar = Triangle
-
     shape: Literal["triangle"]
 
     def form(self, size_m: float, random: np.random.Generator) -> dict[str, Any]:
@@ -132,7 +128,6 @@ class StarFamily(Family):
     """Star polygons."""
 
     makes: ClassVar = Star
-
     shape: Literal["star"]
     points: Annotated[Whole, bounded(least=3, most=100)] = Field(5, description="number of tips")
     inner_ratio: Annotated[Real, bounded(above=0, below=1)] = Field(description="inner over outer radius")
@@ -147,7 +142,6 @@ class PolygonFamily(Family):
     """Random simple polygons: corners in rising direction about the centre, at random directions and radii."""
 
     makes: ClassVar = Polygon
-
     shape: Literal["polygon"]
     corners: Annotated[Whole, bounded(least=3, most=100)] = Field(6, description="number of corners")
     roughness: Annotated[Real, bounded(least=0, most=0.95)] = Field(
@@ -164,7 +158,6 @@ class SmoothFamily(Family):
     """Random smooth closed outlines: a circle whose radius is modulated by a few random Fourier terms."""
 
     makes: ClassVar = Polygon
-
     shape: Literal["smooth"]
     harmonics: Annotated[Whole, bounded(least=2, most=20)] = Field(4, description="highest Fourier term; terms from 2")
     roughness: Annotated[Real, bounded(least=0, most=0.95)] = Field(
@@ -187,19 +180,9 @@ FamilySettings = Annotated[
 def random_polygon(random: np.random.Generator, corners: int, roughness: float) -> Vertices:
     """Corners of a random simple polygon, counter-clockwise, ``[corners, 2]``; the outermost lies on the unit circle.
 
-    Parameters
-    ----------
-    random
-        Source of the draw.
-    corners
-        Number of corners, at least 3.
-    roughness
-        Radii are uniform between 1 − roughness and 1, and then scaled until the largest is 1.
-
-    Notes
-    -----
-    The corners follow each other in rising direction about the centre, and no two are half a turn or more apart, so the
-    centre sees all of the outline and no side crosses another.
+    Radii are uniform between 1 − roughness and 1, and then scaled until the largest is 1. The corners, at least 3, are
+    in rising direction about the centre, and no two are half a turn or more apart, so the centre sees all of the
+    outline and no side crosses another.
     """
     share = _steps(random, corners)
     angles = 2 * np.pi * (random.random() + np.concatenate([[0.0], np.cumsum(share)[:-1]]))
@@ -210,20 +193,9 @@ def random_polygon(random: np.random.Generator, corners: int, roughness: float) 
 def smooth_outline(random: np.random.Generator, harmonics: int, roughness: float, facets: int) -> Vertices:
     """Points on a random smooth closed curve, counter-clockwise, ``[facets, 2]``; the outermost at a radius of 1.
 
-    Parameters
-    ----------
-    random
-        Source of the draw.
-    harmonics
-        Highest Fourier term of the radius, at least 2. The first is left out: it would move the curve sideways.
-    roughness
-        Sum of the terms' amplitudes relative to the mean radius, below 1, so that the radius stays above 0.
-    facets
-        Number of points.
-
-    Notes
-    -----
     r(θ) ∝ 1 + Σ_k a_k·cos(kθ + φ_k) for k = 2 … ``harmonics``, a_k uniform times 1/k, so that coarse features prevail.
+    The first term is left out: it would move the curve sideways. The amplitudes add up to ``roughness``, which is below
+    1, so that the radius stays above 0.
     """
     order = np.arange(2, harmonics + 1)
     amplitude = (0.1 + 0.9 * random.random(order.size)) / order

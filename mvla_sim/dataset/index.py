@@ -15,7 +15,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, field_validator
 
 from mvla_sim.dataset.campaign import SPLITS, CampaignSettings
 from mvla_sim.dataset.sample import splits_of
-from mvla_sim.dataset.shard import numbers_of, shard_name
+from mvla_sim.dataset.shard import FailedSample, numbers_of, shard_name
 from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output, existing_file
@@ -28,13 +28,6 @@ INDEX_SCHEMA: Final = "mvla-sim dataset"
 INDEX_VERSION: Final = 1
 MOST_BYTES: Final = 1 << 30
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-
-
-class FailedSample(Settings):
-    """A sample that is not there, and why."""
-
-    sample: NonNegativeInt
-    error: str
 
 
 class ShardEntry(Settings):
@@ -70,21 +63,11 @@ class _Content(Settings):
 
 @dataclass(frozen=True)
 class Index:
-    """What a dataset holds.
-
-    Attributes
-    ----------
-    folder
-        Its directory.
-    campaign
-        The settings it was made from.
-    shards
-        Its shards by number; some may be missing while a build is at work.
-    """
+    """What a dataset holds: its directory, the settings it was made from, and its shards."""
 
     folder: Path
     campaign: CampaignSettings
-    shards: Mapping[int, ShardEntry]
+    shards: Mapping[int, ShardEntry]  # by number; some may be missing while a build is at work
 
     @property
     def complete(self) -> bool:

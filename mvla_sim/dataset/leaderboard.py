@@ -28,12 +28,7 @@ Floats = NDArray[np.float64]
 
 
 def build_leaderboard(results: Sequence[Result]) -> pd.DataFrame:
-    """One row a method, the best first.
-
-    Parameters
-    ----------
-    results
-        Results on the same samples.
+    """One row a method, the best first, from results on the same samples.
 
     Returns
     -------

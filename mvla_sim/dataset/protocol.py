@@ -43,27 +43,13 @@ FIXED: Final = ("method", "grid", "noise", "views", "threshold")
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """What a method made of a sample.
+    """What a method made of a sample."""
 
-    Attributes
-    ----------
-    sample
-        The sample's number.
-    error
-        Why there is no image, in one line; empty where there is one.
-    seconds
-        Time from the CIR to the image.
-    table
-        Validation: CD of every pair of candidates, ``[n_support, n_percent]`` dB(m²).
-    metrics
-        Test: scores at the thresholds, by name.
-    """
-
-    sample: int
-    error: str = ""
-    seconds: float = 0.0
-    table: NDArray[np.float32] | None = None
-    metrics: Mapping[str, float] = field(default_factory=dict)
+    sample: int  # its number
+    error: str = ""  # why there is no image, in one line
+    seconds: float = 0.0  # from the CIR to the image
+    table: NDArray[np.float32] | None = None  # validation: CD of every pair, [n_support, n_percent] dB(m²)
+    metrics: Mapping[str, float] = field(default_factory=dict)  # test: scores at the thresholds, by name
 
 
 def protocol_settings(campaign: CampaignSettings, method: str, overrides: Sequence[str] = ()) -> ImagingSettings:
@@ -86,17 +72,7 @@ def protocol_settings(campaign: CampaignSettings, method: str, overrides: Sequen
 def score_sample(
     sample: Sample, settings: Sequence[ImagingSettings], thresholds: Sequence[GivenThresholds | None]
 ) -> list[Attempt]:
-    """Apply methods to a sample.
-
-    Parameters
-    ----------
-    sample
-        The sample.
-    settings
-        Settings of each method.
-    thresholds
-        Thresholds of each method, at which it is scored; None: try every pair of candidates.
-    """
+    """Apply methods to a sample: score each at its thresholds, or where they are None try every pair of candidates."""
     provenance()  # asks git once a process, which is no time of a method
     geometry = TruthGeometry.build(sample.contour, sample.grid)
     return [_attempt(sample, one, pair, geometry) for one, pair in zip(settings, thresholds, strict=True)]
@@ -105,7 +81,7 @@ def score_sample(
 def _attempt(
     sample: Sample, settings: ImagingSettings, thresholds: GivenThresholds | None, geometry: TruthGeometry
 ) -> Attempt:
-    number = int(sample.metadata["sample"])
+    number = sample.number
     noise = settings.noise.model_copy(update={"seed": number})
     began = time.perf_counter()
     try:

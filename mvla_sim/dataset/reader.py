@@ -28,8 +28,8 @@ from mvla_sim.dataset.shard import (
     SHARD_VERSION,
     TEXTS,
     VARIABLES,
-    Failure,
-    Made,
+    FailedSample,
+    Sample,
     data_digest,
     numbers_of,
 )
@@ -56,16 +56,7 @@ LEAST_ROOM: Final = 1 << 16
 
 
 class ShardReader:
-    """An open shard of a campaign; use it as a context manager, or :meth:`close` it.
-
-    Parameters
-    ----------
-    file
-        The shard's file.
-    campaign
-        The campaign it must belong to.
-    number
-        The number it must have.
+    """An open shard, which must be that of a campaign and number; use it as a context manager, or :meth:`close` it.
 
     Raises
     ------
@@ -136,7 +127,7 @@ class ShardReader:
         views = self._views.elements(rows)
         return {"sample": np.asarray(rows, np.int64), "view": views, "path": self._paths.elements(views)}
 
-    def sample(self, row: int) -> Made:
+    def sample(self, row: int) -> Sample:
         """Read and check the sample at an index.
 
         Raises
@@ -151,7 +142,8 @@ class ShardReader:
             occupancy = np.asarray(self._handle["occupancy"][row], np.uint8)
             if (occupancy & ~np.uint8(sum(OCCUPANCY.values()))).any():
                 raise DataError(f"occupancy holds values other than sums of {list(OCCUPANCY.values())}")
-            return Made(int(self.samples[row]), self._cir(row, views, paths, metadata), occupancy, metadata)
+            grid = VoxelGrid.from_settings(self.campaign.grid)
+            return Sample(self._cir(row, views, paths, metadata), occupancy, grid, metadata)
 
     def metadata(self, row: int) -> dict[str, Any]:
         """The metadata of the sample at an index, and its numbers of views and paths."""
@@ -164,7 +156,7 @@ class ShardReader:
             }
 
     def _metadata(self, row: int) -> dict[str, Any]:
-        """The metadata at an index, with all that :class:`~mvla_sim.dataset.shard.Made` promises."""
+        """The metadata at an index, with all that :class:`~mvla_sim.dataset.shard.Sample` promises."""
         number = int(self.samples[row])
         found = json.loads(self._handle["metadata"].asstr()[row])
         if not isinstance(found, dict) or found.get("sample") != number:
@@ -247,7 +239,8 @@ class ShardReader:
         row_size = read["row_size"][()].astype(np.int64)
         errors = self._texts("failed_error")
         self.failed = tuple(
-            Failure(int(number), text) for number, text in zip(read["failed_sample"][()], errors, strict=True)
+            FailedSample(sample=int(number), error=text)
+            for number, text in zip(read["failed_sample"][()], errors, strict=True)
         )
         there = sorted([*self.samples.tolist(), *(failure.sample for failure in self.failed)])
         if there != list(numbers_of(self.campaign, self.number)) or (np.diff(self.samples) <= 0).any():

@@ -39,13 +39,6 @@ TRACING_SEEDS: Final = 2**31
 def draw_sample(campaign: CampaignSettings, k: int) -> SceneSettings:
     """Draw the scene of sample ``k``.
 
-    Parameters
-    ----------
-    campaign
-        The campaign.
-    k
-        Number of the sample, from 0.
-
     Returns
     -------
     SceneSettings
@@ -65,7 +58,7 @@ def draw_sample(campaign: CampaignSettings, k: int) -> SceneSettings:
     _check_number(campaign, k)
     random = stream(campaign.seed, Stream.SAMPLE, k)
     family = _family(campaign, random)
-    tracing_seed = _below(random, TRACING_SEEDS)
+    tracing_seed = int(random.random() * TRACING_SEEDS)
     objects, trajectory = _arrange(campaign, family, random, f"{campaign.name}: sample {k}")
     return SceneSettings(
         name=f"{campaign.name}-{k:06d}",
@@ -149,11 +142,6 @@ def _split_codes(seed: int, samples: int, shares: tuple[float, ...]) -> NDArray[
 def _check_number(campaign: CampaignSettings, k: int) -> None:
     if not 0 <= k < campaign.samples:
         raise ConfigError(f"{campaign.name}: sample {k}: there is none; allowed: 0 to {campaign.samples - 1}")
-
-
-def _below(random: np.random.Generator, count: int) -> int:
-    """A whole number from 0 to below ``count``."""
-    return min(int(random.random() * count), count - 1)
 
 
 def _family(campaign: CampaignSettings, random: np.random.Generator) -> FamilySettings:

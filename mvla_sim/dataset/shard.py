@@ -25,6 +25,7 @@ import numpy as np
 import shapely
 import xarray as xr
 from numpy.typing import NDArray
+from pydantic import NonNegativeInt
 from rich.console import Console
 
 from mvla_sim.channel.cir import Cir
@@ -40,10 +41,11 @@ from mvla_sim.grid import VoxelGrid
 from mvla_sim.netcdf import PACKED
 from mvla_sim.progress import Advance, progress
 from mvla_sim.scene.world import Scene
+from mvla_sim.settings import Settings
 
 __all__ = [
-    "CHANNEL_VARIABLES", "OCCUPANCY", "OPTIONAL", "SHARD_SCHEMA", "SHARD_VERSION", "TEXTS", "VARIABLES", "Failure",
-    "Made", "Shard", "ShardTask",
+    "CHANNEL_VARIABLES", "OCCUPANCY", "OPTIONAL", "SHARD_SCHEMA", "SHARD_VERSION", "TEXTS", "VARIABLES",
+    "FailedSample", "Sample", "Shard",
     "data_digest", "encode", "make_one", "make_sample", "make_shard", "numbers_of", "occupancy_of", "shard_name",
 ]  # fmt: skip
 
@@ -63,75 +65,68 @@ TEXTS: Final = ("outline_wkt", "metadata", "failed_error")
 OPTIONAL: Final = tuple(item.name for item in CHANNEL_VARIABLES if item.optional)
 """Only where a sample has them; NaN in samples without."""
 VARIABLES: Final = (
-    "sample",
-    "view_count",
-    "occupancy",
-    "failed_sample",
-    *TEXTS,
+    "sample", "view_count", "occupancy", "failed_sample", *TEXTS,
     *(item.name for item in CHANNEL_VARIABLES if not item.optional),
-)
+)  # fmt: skip
 
 
-@dataclass(frozen=True)
-class ShardTask:
-    """One shard to make; a value that any process or machine can work on."""
-
-    campaign: CampaignSettings
-    number: int
-
-
-@dataclass(frozen=True)
-class Failure:
+class FailedSample(Settings):
     """A sample that could not be made, and why, in one line."""
 
-    sample: int
+    sample: NonNegativeInt
     error: str
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
-    """A sample ready to be written.
+class Sample:
+    """One sample: a channel and the truth about its target.
 
     Attributes
     ----------
-    number
-        Number of the sample in its campaign.
     cir
-        Its channel, with outline and settings.
+        The channel impulse responses; ``cir.config`` are the scene's settings.
     occupancy
-        Bits of :data:`OCCUPANCY`, ``[ny, nx]`` uint8.
+        ``[ny, nx]`` uint8: bit 1 where a voxel is covered or met by the outline, bit 2 where its boundary meets it.
+    grid
+        The voxel grid of the occupancy, one layer.
     metadata
-        Plain data: sample, family, split, number of objects, the scene's settings.
+        Plain data: ``sample`` (its number), ``family``, ``split``, ``objects``, ``settings`` of the scene.
     """
 
-    number: int
     cir: Cir
     occupancy: NDArray[np.uint8]
+    grid: VoxelGrid
     metadata: Mapping[str, Any]
+
+    @property
+    def number(self) -> int:
+        """Its number in the campaign."""
+        return int(self.metadata["sample"])
+
+    @property
+    def outline(self) -> Any:
+        """The target's outline, (x, y) in metres."""
+        return self.cir.outline
+
+    @property
+    def filled(self) -> NDArray[np.bool_]:
+        """Voxels that the target covers or meets, ``[1, ny, nx]``, as the truth ``filled`` of an evaluation."""
+        return np.asarray((self.occupancy & OCCUPANCY["inside"]) > 0)[None]
+
+    @property
+    def contour(self) -> NDArray[np.bool_]:
+        """Voxels that the target's boundary meets, ``[1, ny, nx]``, as the truth ``contour`` of an evaluation."""
+        return np.asarray((self.occupancy & OCCUPANCY["contour"]) > 0)[None]
 
 
 @dataclass(frozen=True)
 class Shard:
-    """A finished shard, still in memory.
-
-    Attributes
-    ----------
-    number
-        Number of the shard.
-    content
-        The bytes of its file.
-    data_sha256
-        Checksum over its data.
-    failed
-        Samples that are not in it.
-    seconds
-        How long it took.
-    """
+    """A finished shard, still in memory: the bytes of its file, the checksum of its data, and the samples not in it."""
 
     number: int
     content: bytes
     data_sha256: str
-    failed: tuple[Failure, ...]
+    failed: tuple[FailedSample, ...]
     seconds: float
 
 
@@ -146,7 +141,7 @@ def numbers_of(campaign: CampaignSettings, shard: int) -> range:
     return range(first, min(first + campaign.samples_per_shard, campaign.samples))
 
 
-def make_shard(task: ShardTask) -> Shard:
+def make_shard(campaign: CampaignSettings, number: int) -> Shard:
     """Draw, trace and encode the samples of a shard; one that raises is recorded and the others go on.
 
     Raises
@@ -154,32 +149,29 @@ def make_shard(task: ShardTask) -> Shard:
     RuntimeUnfitError, OutputError, SimulationInterruptedError
         The machine or the user ends the work; that is no fault of a sample.
     """
-    campaign = task.campaign
-    numbers = numbers_of(campaign, task.number)
+    numbers = numbers_of(campaign, number)
     began = time.perf_counter()
-    found: list[Made | Failure] = []
-    with _progress_hidden(shard_name(task.number), len(numbers)) as advance:
-        for number in numbers:
-            found.append(_made_or_failed(campaign, number))
+    found = []
+    with _progress_hidden(shard_name(number), len(numbers)) as advance:
+        for sample in numbers:
+            found.append(_made_or_failed(campaign, sample))
             advance(1)
-    made = [item for item in found if isinstance(item, Made)]
-    failed = [item for item in found if isinstance(item, Failure)]
-    return encode(campaign, task.number, made, failed, time.perf_counter() - began)
+    return encode(campaign, number, found, time.perf_counter() - began)
 
 
-def make_one(campaign: CampaignSettings, number: int) -> Made | Failure:
+def make_one(campaign: CampaignSettings, number: int) -> Sample | FailedSample:
     """Make one sample, or say why it could not be made; errors as :func:`make_shard`."""
     with _progress_hidden(f"sample {number}", 1):
         return _made_or_failed(campaign, number)
 
 
-def _made_or_failed(campaign: CampaignSettings, number: int) -> Made | Failure:
+def _made_or_failed(campaign: CampaignSettings, number: int) -> Sample | FailedSample:
     try:
         return make_sample(campaign, number, cache=cache_url() is not None)
     except (RuntimeUnfitError, OutputError, SimulationInterruptedError):
         raise
     except Exception as error:  # noqa: BLE001 - one bad sample must not stop the others; the index says why
-        return Failure(number, reason(error))
+        return FailedSample(sample=number, error=reason(error))
 
 
 @contextlib.contextmanager
@@ -194,18 +186,8 @@ def _progress_hidden(description: str, samples: int) -> Iterator[Advance]:
         yield advance
 
 
-def make_sample(campaign: CampaignSettings, number: int, *, cache: bool = False) -> Made:
-    """Draw and trace one sample; errors as :func:`~mvla_sim.dataset.sample.draw_sample` and ``simulate``.
-
-    Parameters
-    ----------
-    campaign
-        The campaign.
-    number
-        Number of the sample.
-    cache
-        Take its channel from the cache of CIRs where it is there, and leave it there; see ``simulate``.
-    """
+def make_sample(campaign: CampaignSettings, number: int, *, cache: bool = False) -> Sample:
+    """Draw and trace one sample; ``cache`` as of ``simulate``; errors as of it and of ``draw_sample``."""
     settings = draw_sample(campaign, number)
     scene = Scene(settings, source=settings.name)
     stored = shapely.from_wkt(_wkt(scene.outline))  # rounding must not part the occupancy from the outline
@@ -216,8 +198,8 @@ def make_sample(campaign: CampaignSettings, number: int, *, cache: bool = False)
         "objects": len(settings.objects),
         "settings": settings.model_dump(mode="json"),
     }
-    occupancy = occupancy_of(stored, VoxelGrid.from_settings(campaign.grid))
-    return Made(number, simulate(scene, cache=cache), occupancy, metadata)
+    grid = VoxelGrid.from_settings(campaign.grid)
+    return Sample(simulate(scene, cache=cache), occupancy_of(stored, grid), grid, metadata)
 
 
 def occupancy_of(outline: Any, grid: VoxelGrid) -> NDArray[np.uint8]:
@@ -227,23 +209,10 @@ def occupancy_of(outline: Any, grid: VoxelGrid) -> NDArray[np.uint8]:
     return np.asarray(OCCUPANCY["inside"] * inside | OCCUPANCY["contour"] * contour, np.uint8)
 
 
-def encode(
-    campaign: CampaignSettings, number: int, made: Sequence[Made], failed: Sequence[Failure], seconds: float
-) -> Shard:
-    """Put samples into the bytes of a shard file.
-
-    Parameters
-    ----------
-    campaign
-        The campaign, which the file carries.
-    number
-        Number of the shard.
-    made, failed
-        Its samples, and those that it does without.
-    seconds
-        How long they took; kept as an attribute for estimates.
-    """
-    variables = _variables(campaign, made) | _failures(failed)
+def encode(campaign: CampaignSettings, number: int, found: Sequence[Sample | FailedSample], seconds: float) -> Shard:
+    """Put the samples of a shard into the bytes of its file, with those that failed and the time all took."""
+    failed = tuple(item for item in found if isinstance(item, FailedSample))
+    variables = _variables(campaign, [item for item in found if isinstance(item, Sample)]) | _failures(failed)
     digest = data_digest({name: entry[1] for name, entry in variables.items()})
     dataset = xr.Dataset(variables, attrs=_attributes(campaign, number) | {
         "data_sha256": digest, "seconds": seconds,
@@ -256,7 +225,7 @@ def encode(
         encoding["occupancy"]["chunksizes"] = (1, *dataset["occupancy"].shape[1:])
     with dask.config.set(scheduler="synchronous"):  # else xarray asks a Dask worker for a lock named like the buffer
         content = bytes(dataset.to_netcdf(engine="h5netcdf", encoding=encoding))
-    return Shard(number, content, digest, tuple(failed), seconds)
+    return Shard(number, content, digest, failed, seconds)
 
 
 def data_digest(arrays: Mapping[str, Any]) -> str:
@@ -299,7 +268,7 @@ def _wkt(outline: Any) -> str:
     return str(shapely.to_wkt(outline, rounding_precision=9))
 
 
-def _failures(failed: Sequence[Failure]) -> dict[str, Any]:
+def _failures(failed: Sequence[FailedSample]) -> dict[str, Any]:
     errors = _texts(failure.error for failure in failed)
     return {
         "failed_sample": (
@@ -311,7 +280,7 @@ def _failures(failed: Sequence[Failure]) -> dict[str, Any]:
     }
 
 
-def _variables(campaign: CampaignSettings, made: Sequence[Made]) -> dict[str, Any]:
+def _variables(campaign: CampaignSettings, made: Sequence[Sample]) -> dict[str, Any]:
     """Every variable as xarray takes it: dimensions, values, attributes."""
     cirs = [sample.cir for sample in made]
     nx, ny, _ = VoxelGrid.from_settings(campaign.grid).counts

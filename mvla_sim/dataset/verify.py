@@ -17,9 +17,8 @@ from mvla_sim.channel.simulate import SimulationInterruptedError
 from mvla_sim.dataset.index import Index, ShardEntry, file_sha256
 from mvla_sim.dataset.reader import ShardReader
 from mvla_sim.dataset.sample import family_of, split_of
-from mvla_sim.dataset.shard import Made, make_sample, occupancy_of
+from mvla_sim.dataset.shard import Sample, make_sample, occupancy_of
 from mvla_sim.errors import ConfigError, DataError, MvlaError
-from mvla_sim.grid import VoxelGrid
 from mvla_sim.progress import progress
 from mvla_sim.streams import Stream, stream
 
@@ -37,26 +36,14 @@ processor, a ray that just meets an edge may just miss it."""
 
 @dataclass(frozen=True)
 class Report:
-    """What a check found.
+    """What a check found."""
 
-    Attributes
-    ----------
-    shards, samples, failed
-        How many were looked at; ``failed``: samples that the index lists as failed.
-    recomputed
-        Numbers of the samples made again.
-    stray
-        Largest share of paths without a partner in any of these.
-    problems
-        One line each; none where all is well.
-    """
-
-    shards: int
+    shards: int  # that were looked at
     samples: int
-    failed: int
-    recomputed: tuple[int, ...]
-    stray: float
-    problems: tuple[str, ...]
+    failed: int  # samples that the index lists as failed
+    recomputed: tuple[int, ...]  # numbers of the samples made again
+    stray: float  # largest share of paths without a partner in any of these
+    problems: tuple[str, ...]  # one line each
 
     @property
     def ok(self) -> bool:
@@ -140,7 +127,7 @@ def _check_shard(index: Index, number: int, entry: ShardEntry) -> int:
         return int(reader.samples.size)
 
 
-def _check_sample(index: Index, made: Made, file: Path) -> None:
+def _check_sample(index: Index, made: Sample, file: Path) -> None:
     campaign, number = index.campaign, made.number
     wanted = {"family": family_of(campaign, number).name, "split": split_of(campaign, number)}
     for key, value in wanted.items():
@@ -148,8 +135,8 @@ def _check_sample(index: Index, made: Made, file: Path) -> None:
             raise DataError(f"{file}: sample {number}: {key} is {made.metadata.get(key)!r}, must be {value!r}")
     for name, told in (("carrier", made.cir.carrier_hz), ("bandwidth", made.cir.bandwidth_hz)):
         if told != (right := getattr(campaign.radio, f"{name}_hz")):
-            raise DataError(f"{file}: {name} is {told:g} Hz, must be {right:g} Hz")
-    if not np.array_equal(made.occupancy, occupancy_of(made.cir.outline, VoxelGrid.from_settings(campaign.grid))):
+            raise DataError(f"{file}: sample {number}: {name} is {told:g} Hz, must be {right:g} Hz")
+    if not np.array_equal(made.occupancy, occupancy_of(made.outline, made.grid)):
         raise DataError(f"{file}: sample {number}: the occupancy is not that of the outline")
 
 
@@ -166,7 +153,7 @@ def _recompute(index: Index, number: int) -> float:
     again = make_sample(index.campaign, number)
     if stored.metadata["settings"] != again.metadata["settings"]:
         raise DataError("its scene is not the one that the campaign's seed gives")
-    if not stored.cir.outline.equals_exact(again.cir.outline, 1e-6):
+    if not stored.outline.equals_exact(again.outline, 1e-6):
         raise DataError("its outline is not that of its scene")
     if not np.array_equal(stored.occupancy, again.occupancy):
         raise DataError("its occupancy is not that of its scene")

@@ -18,7 +18,7 @@ from typing import Any, Final, Literal, cast
 from mvla_sim.engine import llvm
 from mvla_sim.errors import ConfigError, RuntimeUnfitError
 
-__all__ = ["VARIABLE", "Backend", "activate", "activate_sionna", "active", "requested", "set_threads"]
+__all__ = ["VARIABLE", "Backend", "activate", "activate_sionna", "active", "set_threads"]
 
 VARIABLE: Final[str] = "MVLA_BACKEND"
 """The environment variable that overrides the choice: ``auto``, ``cuda`` or ``llvm``."""
@@ -30,24 +30,12 @@ _DEVICE_FILES: Final = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/dxg")
 
 @dataclass(frozen=True)
 class Backend:
-    """The backend in use.
-
-    Attributes
-    ----------
-    name
-        ``llvm`` or ``cuda``.
-    libllvm
-        The libLLVM that is loaded; None on CUDA or where the system does not tell.
-    libllvm_version
-        Its full version, "23.1.4"; None on CUDA.
-    origin
-        Where it comes from: the environment variable, the wheel, the system, or the program that had loaded it before.
-    """
+    """The backend in use."""
 
     name: Name
-    libllvm: Path | None = None
-    libllvm_version: str | None = None
-    origin: str | None = None
+    libllvm: Path | None = None  # the file that is loaded; None on CUDA or where the system does not tell
+    libllvm_version: str | None = None  # in full, "23.1.4"; None on CUDA
+    origin: str | None = None  # the environment variable, the wheel, the system, or what had loaded it before
 
     @property
     def arrays(self) -> ModuleType:
@@ -71,7 +59,9 @@ def activate() -> Backend:
     RuntimeUnfitError
         No backend can run here; the message says how to fix it.
     """
-    wanted = requested()
+    wanted = os.environ.get(VARIABLE, "auto") or "auto"
+    if wanted not in ("auto", "cuda", "llvm"):
+        raise ConfigError(f"{VARIABLE} = '{wanted}' is no backend; allowed: auto, cuda, llvm")
     chosen = llvm.preset_library() if "drjit" in sys.modules else _choose_library(wanted)
     dr = cast("Any", importlib.import_module("drjit"))
     if wanted != "llvm" and dr.has_backend(dr.JitBackend.CUDA):
@@ -93,20 +83,6 @@ def activate() -> Backend:
     if chosen is None:
         return Backend("llvm", _loaded_library(), text, "loaded before")
     return Backend("llvm", _loaded_library() or Path(chosen.path), text, chosen.origin)
-
-
-def requested() -> Literal["auto", "cuda", "llvm"]:
-    """The choice that the environment makes.
-
-    Raises
-    ------
-    ConfigError
-        ``MVLA_BACKEND`` is neither ``auto`` nor ``cuda`` nor ``llvm``.
-    """
-    value = os.environ.get(VARIABLE, "auto") or "auto"
-    if value not in ("auto", "cuda", "llvm"):
-        raise ConfigError(f"{VARIABLE} = '{value}' is no backend; allowed: auto, cuda, llvm")
-    return cast("Literal['auto', 'cuda', 'llvm']", value)
 
 
 def active() -> Backend | None:

@@ -32,34 +32,16 @@ GIB: Final[int] = 2**30
 
 @dataclass(frozen=True, eq=False)
 class Smoke:
-    """What the child process that traces one ray reported.
+    """What the child process that traces one ray reported."""
 
-    Attributes
-    ----------
-    backend
-        Keys ``backend``, ``libllvm``, ``libllvm_version``, ``origin``, ``threads``; empty if it did not get so far.
-    result
-        In words, if the ray came back.
-    problem
-        One line with its remedy, if it did not.
-    """
-
-    backend: Mapping[str, Any]
-    result: str | None
-    problem: str | None
+    backend: Mapping[str, Any]  # backend, libllvm, libllvm_version, origin, threads; empty if it did not get so far
+    result: str | None  # in words, if the ray came back
+    problem: str | None  # one line with its remedy, if it did not
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Everything the report shows.
-
-    Attributes
-    ----------
-    rows
-        Pairs of a name and a value.
-    problems
-        One line each, with its remedy; empty on a fit machine.
-    """
+    """Everything the report shows: pairs of a name and a value, and problems, one line each with its remedy."""
 
     rows: tuple[tuple[str, str], ...]
     problems: tuple[str, ...]

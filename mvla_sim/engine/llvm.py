@@ -1,24 +1,10 @@
 """Which libLLVM Dr.Jit shall load, decided before it loads one.
 
 Dr.Jit opens libLLVM the moment it is imported, and left alone takes whatever the system has. Tried with Dr.Jit 1.5.0
-and Sionna RT 2.2.0 on x86-64 (a box; specular and diffuse reflection and diffraction; empty kernel cache):
-
-========  =============================================================================
-libLLVM   what happened
-========  =============================================================================
-14.0.6    Dr.Jit switches its CPU backend off ("requires LLVM 15 or newer"); ImportError
-15.0.6    the process aborts: "LLVM ERROR: Cannot select … fmaximum"
-16.0.6    the process aborts likewise
-17.0.6    works
-18.1.8    works
-19.1.7    works (Debian's libllvm19 and the wheel)
-20.1.8    works
-21.1.8    works
-22.1.8    works
-23.1.4    works
-========  =============================================================================
-
-From 17 on the traced power agreed to every printed digit. Hence :data:`MINIMUM_VERSION`.
+and Sionna RT 2.2.0 on x86-64 (a box; specular and diffuse reflection and diffraction; empty kernel cache): with 14.0.6
+Dr.Jit switches its CPU backend off, with 15.0.6 and 16.0.6 the process aborts ("LLVM ERROR: Cannot select … fmaximum"),
+and each version from 17.0.6 to 23.1.4 works, with the same traced power to every printed digit. Hence
+:data:`MINIMUM_VERSION`.
 """
 
 from __future__ import annotations
@@ -40,24 +26,12 @@ from typing import Final
 from mvla_sim.errors import RuntimeUnfitError
 
 __all__ = [
-    "MINIMUM_VERSION",
-    "VARIABLE",
-    "WHEEL",
-    "Library",
-    "choose",
-    "preload_companions",
-    "preset",
-    "preset_library",
-    "probe_version",
-    "remedy",
-    "system_files",
-    "version_from_name",
-    "version_text",
-    "wheel_files",
-]
+    "MINIMUM_VERSION", "VARIABLE", "WHEEL", "Library", "choose", "preload_companions", "preset", "preset_library",
+    "probe_version", "remedy", "system_files", "version_from_name", "version_text", "wheel_files",
+]  # fmt: skip
 
 MINIMUM_VERSION: Final[int] = 17
-"""Oldest libLLVM that compiles every kernel; see the table above."""
+"""Oldest libLLVM that compiles every kernel; see above."""
 
 VARIABLE: Final[str] = "DRJIT_LIBLLVM_PATH"
 """The environment variable by which Dr.Jit is told its libLLVM."""
@@ -93,21 +67,11 @@ else:
 
 @dataclass(frozen=True)
 class Library:
-    """A libLLVM that was found.
+    """A libLLVM that was found."""
 
-    Attributes
-    ----------
-    path
-        The file, or a bare name that the dynamic loader shall find.
-    version
-        As far as known, most significant number first.
-    origin
-        Where it comes from, for the user: the environment variable, the wheel or the system.
-    """
-
-    path: str
-    version: Version
-    origin: str
+    path: str  # the file, or a bare name that the dynamic loader shall find
+    version: Version  # as far as known, most significant number first
+    origin: str  # for the user: the environment variable, the wheel or the system
 
     @property
     def fit(self) -> bool:
@@ -130,13 +94,8 @@ def choose(
 ) -> Library:
     """Choose a libLLVM without loading it: the one the user names, else the wheel's, else the newest of the system.
 
-    Parameters
-    ----------
-    environment
-        Environment variables; by default the process's own.
-    wheel, system, probe
-        Where to look and how to ask a file for its version; by default :func:`wheel_files`, :func:`system_files`
-        and :func:`probe_version`.
+    By default the environment is the process's own, and :func:`wheel_files`, :func:`system_files` and
+    :func:`probe_version` say where to look and ask a file for its version.
 
     Raises
     ------

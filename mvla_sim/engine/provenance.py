@@ -47,15 +47,8 @@ def _installation() -> dict[str, str]:
 
 @functools.cache
 def code_digest(*parts: str) -> str:
-    """SHA-256, in hexadecimal, over the source files of some parts of the package; by default of all of it.
+    """SHA-256, in hexadecimal, over the source of subpackages and modules, as ``imaging`` and ``grid``, or of all.
 
-    Parameters
-    ----------
-    parts
-        Names of subpackages and of modules, as ``imaging`` or ``grid``.
-
-    Notes
-    -----
     The files are read once a process, as Python itself does.
     """
     digest = hashlib.sha256()
@@ -67,13 +60,9 @@ def code_digest(*parts: str) -> str:
 
 
 def code_commit(folder: Path = PACKAGE.parent) -> str:
-    """Commit of the code, "-dirty" where files differ from it, "unknown" outside a checkout.
+    """Commit of the code, "-dirty" where files differ from it, "unknown" where ``folder`` is no checkout's top.
 
-    Parameters
-    ----------
-    folder
-        The checkout's top; by default the one this package lies in. An installed copy inside some other
-        repository is not taken for that repository.
+    So an installed copy inside some other repository is not taken for that repository.
     """
     git = shutil.which("git")
     if git is None or not (folder / ".git").exists():
@@ -90,10 +79,7 @@ def _git(git: str, folder: Path, *arguments: str) -> str | None:
     try:
         return subprocess.run(  # noqa: S603 - git with constant arguments
             [git, "-C", str(folder), "--no-optional-locks", *arguments],
-            capture_output=True,
-            text=True,
-            timeout=30,
-            check=True,
-        ).stdout
+            capture_output=True, text=True, timeout=30, check=True,
+        ).stdout  # fmt: skip
     except (OSError, subprocess.SubprocessError):
         return None

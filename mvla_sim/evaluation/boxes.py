@@ -99,16 +99,10 @@ def bounding_box(occupied: NDArray[np.bool_], grid: VoxelGrid, keep_area: float 
     last = plane.shape[1] - plane[rows, ::-1].argmax(axis=1)  # its right edge
     corners = np.concatenate([np.stack([x, y], axis=-1) for x in (first, last) for y in (rows, rows + 1)])
     box = _smallest(shapely.convex_hull(shapely.multipoints(corners)))
-    lower = grid.bounds_m()[0]
-    return Box(
-        center_m=(
-            float(lower[0] + grid.spacing_m * box.center_m[0]),
-            float(lower[1] + grid.spacing_m * box.center_m[1]),
-        ),
-        length_m=box.length_m * grid.spacing_m,
-        width_m=box.width_m * grid.spacing_m,
-        orientation_deg=box.orientation_deg,
-    )
+    x, y, _ = grid.bounds_m()[0]
+    step = grid.spacing_m
+    center_m = (float(x + step * box.center_m[0]), float(y + step * box.center_m[1]))
+    return Box(center_m, box.length_m * step, box.width_m * step, box.orientation_deg)
 
 
 def box_of_outline(outline: BaseGeometry) -> Box:

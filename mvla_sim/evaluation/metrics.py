@@ -75,20 +75,12 @@ class Scores:
     def as_dict(self) -> dict[str, Any]:
         """Return one flat row; precision, recall and F1 carry their distance in the name, as in ``f1_5cm``."""
         row: dict[str, Any] = {
-            "cd_db": self.cd_db,
-            "accuracy_m": self.accuracy_m,
-            "completeness_m": self.completeness_m,
-            "hausdorff95_m": self.hausdorff95_m,
+            name: getattr(self, name) for name in ("cd_db", "accuracy_m", "completeness_m", "hausdorff95_m")
         }
         for name in ("precision", "recall", "f1"):
             for distance, value in zip(self.distances_m, getattr(self, name), strict=True):
                 row[f"{name}_{100 * distance:g}cm"] = value
-        return row | {
-            "n_truth": self.n_truth,
-            "n_reconstruction": self.n_reconstruction,
-            "area_m2": self.area_m2,
-            "reason": self.reason,
-        }
+        return row | {name: getattr(self, name) for name in ("n_truth", "n_reconstruction", "area_m2", "reason")}
 
 
 def chamfer_db(truth: Floats, reconstruction: Floats) -> float:

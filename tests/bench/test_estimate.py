@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from rows import LOADED, measured_rows
 
-from mvla_sim.bench.estimate import CostScenario, costs_from, estimate
-from mvla_sim.bench.fit import fit_affine, fit_power_law
+from mvla_sim.bench.estimate import CostScenario, costs_from, estimate, fit_affine, fit_power_law
 from mvla_sim.errors import ConfigError, DataError
 
 

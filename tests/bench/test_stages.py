@@ -50,8 +50,8 @@ def test_workers_have_a_core_each_and_others_are_not_pinned():
 @pytest.mark.parametrize(
     ("target", "params", "engine"),
     [
-        ("projection_jobs:ProjectionJob", {"method": "mvla-gr", "voxels": 100, "views": 4}, "projector"),
-        ("projection_jobs:ProjectionJob", {"method": "bp", "voxels": 100, "views": 4}, "projector"),
+        ("imaging_jobs:ProjectionJob", {"method": "mvla-gr", "voxels": 100, "views": 4}, "projector"),
+        ("imaging_jobs:ProjectionJob", {"method": "bp", "voxels": 100, "views": 4}, "projector"),
         ("imaging_jobs:FrontEndJob", {"part": "pdp", "views": 4, "paths_per_view": 50}, "none"),
         ("imaging_jobs:FrontEndJob", {"part": "peaks", "views": 4, "paths_per_view": 50}, "none"),
     ],

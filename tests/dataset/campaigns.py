@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from mvla_sim.channel.cir import Cir
 from mvla_sim.constants import range_to_delay
+from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.campaign import CampaignSettings, load_campaign
 from mvla_sim.errors import DataError
 from mvla_sim.settings import parse
@@ -64,6 +66,14 @@ def write(folder: Path, text: str = CAMPAIGN) -> Path:
 def tiny(folder: Path, *overrides: str) -> CampaignSettings:
     """The settings of the tiny campaign."""
     return load_campaign(write(folder), overrides)
+
+
+def built(folder: Path, *overrides: str) -> Path:
+    """Build the tiny dataset from channels by formula and return its directory."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mvla_sim.dataset.shard.simulate", fake_simulate)
+        build_dataset(tiny(folder, *overrides), folder / "out", workers=0)
+    return folder / "out"
 
 
 def of_family(shape: str, **changes) -> CampaignSettings:

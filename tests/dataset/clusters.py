@@ -27,9 +27,9 @@ def trace(scene, *, cache=True):
     return campaigns.fake_simulate(scene)
 
 
-def make_shard(task):
+def make_shard(campaign, number):
     shard.simulate, shard.provenance = trace, lambda: {"program": "a formula"}
-    return shard.make_shard(task)
+    return shard.make_shard(campaign, number)
 
 
 def make_one(campaign, number):

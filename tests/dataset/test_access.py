@@ -9,16 +9,16 @@ import re
 import shutil
 import time
 
+import campaigns
 import h5py
 import numpy as np
 import pytest
 import shapely
-from campaigns import count_paths, equal, fake_simulate, tiny
+from campaigns import count_paths, equal, fake_simulate
 
 import mvla_sim as mv
 from mvla_sim.dataset import access as module
 from mvla_sim.dataset.access import open_dataset
-from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.index import INDEX, Index
 from mvla_sim.dataset.sample import draw_sample, split_of
 from mvla_sim.errors import ConfigError, DataError, MvlaError
@@ -29,12 +29,8 @@ from mvla_sim.scene.world import Scene
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     """A dataset with receivers apart in some samples: campaign and directory."""
-    folder = tmp_path_factory.mktemp("built")
-    campaign = tiny(folder, "trajectory.pair_separation_m={choices=[0, 0.3]}")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mvla_sim.dataset.shard.simulate", fake_simulate)
-        build_dataset(campaign, folder / "out", workers=0)
-    return campaign, folder / "out"
+    folder = campaigns.built(tmp_path_factory.mktemp("built"), "trajectory.pair_separation_m={choices=[0, 0.3]}")
+    return Index.load(folder).campaign, folder
 
 
 @pytest.fixture

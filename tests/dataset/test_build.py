@@ -21,7 +21,7 @@ from mvla_sim.dataset.build import BuildInterruptedError, build_dataset
 from mvla_sim.dataset.card import card_text
 from mvla_sim.dataset.dry_run import estimate
 from mvla_sim.dataset.index import INDEX, Index, file_sha256
-from mvla_sim.dataset.shard import ShardTask, make_shard, shard_name
+from mvla_sim.dataset.shard import make_shard, shard_name
 from mvla_sim.dataset.verify import verify
 from mvla_sim.errors import ConfigError, DataError, OutputError, RuntimeUnfitError
 from mvla_sim.files import locked_folder
@@ -74,8 +74,8 @@ def test_a_build_is_its_files_and_nothing_else(tmp_path):
 def test_a_shard_made_twice_has_the_same_data(tmp_path):
     """In any order. The files differ, for they tell when they were made."""
     campaign = tiny(tmp_path)
-    first = [make_shard(ShardTask(campaign, number)) for number in range(3)]
-    again = [make_shard(ShardTask(campaign, number)) for number in (2, 0, 1)]
+    first = [make_shard(campaign, number) for number in range(3)]
+    again = [make_shard(campaign, number) for number in (2, 0, 1)]
     assert [first[shard.number].data_sha256 for shard in again] == [shard.data_sha256 for shard in again]
 
 

@@ -162,8 +162,8 @@ def test_a_shared_cache_spares_tracing_and_changes_nothing(tmp_path, monkeypatch
 def test_a_machine_that_cannot_write_or_trace_ends_the_build_at_once(tmp_path, monkeypatch, kind):
     calls = []
 
-    def fails(task):
-        calls.append(task.number)
+    def fails(campaign, number):
+        calls.append(number)
         raise kind("/there: no space")
 
     monkeypatch.setattr(module, "make_shard", fails)

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 import shapely
-from campaigns import count_paths, fake_simulate, tiny
+from campaigns import built, count_paths
 from scipy.io import loadmat
 
 from mvla_sim.channel.importing import import_channel, import_settings
@@ -15,7 +15,6 @@ from mvla_sim.channel.readers.deepmimo import read_deepmimo
 from mvla_sim.channel.readers.pairs import select_pairs
 from mvla_sim.dataset import exports as module
 from mvla_sim.dataset.access import open_dataset
-from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.exports import export_mat, export_npz
 from mvla_sim.errors import ConfigError, OutputError
 
@@ -25,12 +24,8 @@ GAIN = 1e-6
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("built")
-    campaign = tiny(folder, "trajectory.pair_separation_m={choices=[0, 0.3]}")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mvla_sim.dataset.shard.simulate", fake_simulate)
-        build_dataset(campaign, folder / "out", workers=0)
-    return open_dataset(folder / "out", "test")
+    folder = built(tmp_path_factory.mktemp("built"), "trajectory.pair_separation_m={choices=[0, 0.3]}")
+    return open_dataset(folder, "test")
 
 
 def by_delay(cir):

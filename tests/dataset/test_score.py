@@ -248,7 +248,7 @@ def test_one_test_scene_has_no_interval():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--method", "nothing"], "'nothing' is none; allowed: mvla-gr"),
+        (["--method", "nothing"], "'nothing' is no method; allowed: "),
         (["--method", "nowhere.py"], "nowhere.py cannot be read"),
         (["--method", "bp", "--set", "noise.snr_db=60"], "the protocol fixes noise"),
         (["--method", "bp", "--set", "grid.spacing_m=1"], "the protocol fixes grid"),

@@ -6,14 +6,13 @@ import json
 import shutil
 from dataclasses import replace
 
+import campaigns
 import h5py
 import numpy as np
 import pytest
-from campaigns import fake_simulate, tiny
 
 from mvla_sim.channel.simulate import SimulationInterruptedError
 from mvla_sim.dataset.access import open_dataset
-from mvla_sim.dataset.build import build_dataset
 from mvla_sim.dataset.index import INDEX, Index, file_sha256
 from mvla_sim.dataset.reader import ShardReader
 from mvla_sim.dataset.verify import unmatched_share, verify
@@ -24,11 +23,7 @@ pytestmark = pytest.mark.usefixtures("fake")
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("built")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mvla_sim.dataset.shard.simulate", fake_simulate)
-        build_dataset(tiny(folder), folder / "out", workers=0)
-    return folder / "out"
+    return campaigns.built(tmp_path_factory.mktemp("built"))
 
 
 @pytest.fixture

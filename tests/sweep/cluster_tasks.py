@@ -7,7 +7,6 @@ import signal
 import time
 from pathlib import Path
 
-from mvla_sim.cluster.worker import thread_counts
 from mvla_sim.errors import DataError
 
 POISON = "MVLA_TEST_POISON"
@@ -34,7 +33,12 @@ def nothing():
 
 
 def state():
-    return os.getpid(), thread_counts()
+    """This process, and the threads that Dr.Jit and linear algebra use in it."""
+    import drjit  # noqa: PLC0415 - where the backend is chosen
+    import threadpoolctl  # noqa: PLC0415
+
+    algebra = max((pool["num_threads"] for pool in threadpoolctl.threadpool_info()), default=1)
+    return os.getpid(), {"drjit": drjit.thread_count(), "algebra": algebra}
 
 
 def wait(seconds):
