@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Final
 
-__all__ = ["INTERRUPTED", "deferred_interrupt", "end_on_interrupt", "interruptible"]
+__all__ = ["INTERRUPTED", "deferred_interrupt", "end_on_interrupt", "interruptible", "raise_lost"]
 
 INTERRUPTED: Final = 130
 """Exit code after Ctrl-C."""
@@ -29,15 +29,25 @@ def end_on_interrupt() -> None:
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Within the block, Ctrl-C raises KeyboardInterrupt, so that the block can clean up."""
+    """Within the block, Ctrl-C raises KeyboardInterrupt, so that the block can clean up (:func:`raise_lost`)."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not _end:
         yield
         return
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, _raise)
     try:
         yield
     finally:
+        _interrupted.clear()
         signal.signal(signal.SIGINT, _end)
+
+
+def raise_lost() -> None:
+    """Raise the KeyboardInterrupt of an :func:`interruptible` block again, if there was one: for loops that wait.
+
+    Python ignores it where it comes while an object is finalised or in a callback of the garbage collector.
+    """
+    if _interrupted.is_set():
+        raise KeyboardInterrupt
 
 
 @contextlib.contextmanager
@@ -67,6 +77,14 @@ def deferred_interrupt() -> Iterator[Callable[[], None]]:
         yield check
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+_interrupted = threading.Event()
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    _interrupted.set()
+    signal.default_int_handler(number, frame)
 
 
 def _end(number: int, frame: FrameType | None) -> None:

@@ -82,12 +82,13 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
         return replace(cached, config=settings.model_dump(mode="json"), antenna=settings.radio.antenna)
     partial = kept.with_suffix(".partial.nc") if kept is not None else None
     views = _resume(partial)
-    tracer = ViewTracer(scene)
     total = len(scene.views)
     with progress(f"tracing {scene.name}", total, "views") as advance:
         advance(len(views))
         try:
             with deferred_interrupt() as check:
+                tracer = ViewTracer(scene)  # loading the engine must not be interrupted either
+                check()
                 for number in range(len(views), total):
                     views.append(_trace(tracer, scene, number))
                     advance(1)

@@ -23,6 +23,7 @@ from distributed.comm import CommClosedError
 from mvla_sim.cluster.interface import Arguments, Cluster, Finished, Shared, TaskError, WorkerDiedError
 from mvla_sim.cluster.worker import Context, UnfitWorkerError, call, make
 from mvla_sim.errors import RuntimeUnfitError, reason
+from mvla_sim.interrupt import raise_lost
 
 __all__ = ["CLOSE_S", "IN_FLIGHT", "LOST", "MOST_DEATHS", "START_S", "DaskCluster"]
 
@@ -106,6 +107,7 @@ class DaskCluster(Cluster):
                 if not submitted:
                     return
                 ended = self._wait(submitted)
+                raise_lost()
                 if not ended:
                     idle()
                     self._check_alive()

@@ -17,6 +17,11 @@ __all__ = ["METHODS", "Method", "SumOverViews", "phase_free_methods", "title_of"
 class MethodKinds(Kinds["Method"]):
     """The methods: classes, and the functions of :mod:`mvla_sim.imaging.methods.functions`."""
 
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.of_files: dict[str, type[Method]] = {}
+        """Functions of files that were asked for, by name."""
+
     def block(self, key: str, chosen: str) -> type[Method] | None:
         """The method whose settings stand under ``[imaging.KEY]``; None for none's.
 
@@ -30,8 +35,9 @@ class MethodKinds(Kinds["Method"]):
         for method in (self.find(chosen), *self.own()):
             if method.block_name() == key:
                 return method
-        other = self.find(key) if key in self.names() else None  # sweeps have the settings of several
-        return other if other is not None and other.block_name() == key else None
+        # Sweeps have the settings of several.
+        others = [*self.of_files.values(), *([self.find(key)] if key in self.names() else [])]
+        return next((method for method in others if method.block_name() == key), None)
 
 
 METHODS: Final = MethodKinds("method", "mvla_sim.methods", "mvla_sim.imaging.methods", key=None)

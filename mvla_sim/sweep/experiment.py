@@ -10,6 +10,8 @@ from pydantic import Field, field_validator, model_validator
 
 from mvla_sim.evaluation.evaluate import EvaluationSettings
 from mvla_sim.imaging.imaging_settings import SHORT_NAMES, ImagingSettings
+from mvla_sim.imaging.method import METHODS
+from mvla_sim.imaging.methods.functions import names_a_file
 from mvla_sim.scene.world import SceneSettings
 from mvla_sim.settings import Settings, apply_overrides, parse, read_toml, resolve_beside
 from mvla_sim.shipped import find
@@ -206,6 +208,9 @@ def load_experiment(path: str | os.PathLike[str], overrides: Sequence[str] = ())
         variants = resolve_beside(data["variants"], file.parent)
         data["variants"] = read_toml(variants, "file of variants").get("variants", [])
     if isinstance(data.get("axes"), dict):
+        for name in data["axes"].get("method", ()):
+            if isinstance(name, str) and names_a_file(name):
+                METHODS.find(name)  # so that [imaging] may have its settings beside those of others
         data["axes"] = {
             key: [ALL] if value == ALL and dotted_key(key) == OFFSET else value for key, value in data["axes"].items()
         }

@@ -246,3 +246,14 @@ def test_the_estimate_of_time_grows_with_views_and_voxels():
     whole = case_seconds(case_of(), 360)
     assert case_seconds(case_of(interval_deg=10.0), 360) < whole
     assert case_seconds(case_of(spacing_m=0.05), 360) < whole
+
+
+def test_settings_of_a_function_on_the_method_axis(tmp_path):
+    """Its table is no other method's, and each case has it in its columns."""
+    (tmp_path / "mine.py").write_text("def sharper(seen, power: float = 2.0):\n    return seen.range_m(0)\n")
+    name = f"{tmp_path / 'mine.py'}:sharper"
+    plan = expand(experiment(tmp_path, f"method = ['bp', '{name}']\n", more="[imaging.sharper]\npower = 3.0\n"))
+    assert [case.imaging.method for case in plan.cases] == ["bp", name]
+    assert plan.cases[1].imaging.chosen.power == 3.0
+    with pytest.raises(ConfigError, match=r"sharper\.pwr: unknown key"):
+        experiment(tmp_path, f"method = ['bp', '{name}']\n", more="[imaging.sharper]\npwr = 3.0\n")

@@ -119,7 +119,8 @@ def of_file(name: str) -> type[Method] | None:
         stamp = file.stat()
     except OSError as error:
         raise ConfigError(f"method = '{name}': {file} cannot be read ({error.strerror})") from error
-    return _imported(name, file.resolve(), function, (stamp.st_mtime_ns, stamp.st_size))
+    METHODS.of_files[name] = _imported(name, file.resolve(), function, (stamp.st_mtime_ns, stamp.st_size))
+    return METHODS.of_files[name]
 
 
 def of_value(name: str, value: Any) -> type[Method] | None:
