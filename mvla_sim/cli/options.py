@@ -13,20 +13,9 @@ from mvla_sim.errors import ConfigError, MvlaError
 from mvla_sim.files import check_writable
 
 __all__ = [
-    "CacheUrl",
-    "Output",
-    "Overrides",
-    "Scheduler",
-    "Workers",
-    "check_output",
-    "errors",
-    "note",
-    "option_for",
-    "out",
-    "say",
-    "show",
-    "wrote",
-]
+    "CacheUrl", "Output", "Overrides", "Scheduler", "Workers", "check_output", "errors", "note", "option_for",
+    "out", "say", "show", "wrote",
+]  # fmt: skip
 
 errors = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
 out = Console(soft_wrap=True, highlight=False, emoji=False)

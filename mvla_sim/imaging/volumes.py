@@ -28,23 +28,12 @@ class Surface:
     """The faces of occupied voxels that no other occupied voxel hides: a closed surface of squares.
 
     Every edge has as many faces on its one side as on its other: two, or four where voxels touch along an edge only.
-
-    Attributes
-    ----------
-    vertices_m
-        Corners, each listed once, ``[n_vertex, 3]`` metres.
-    squares
-        Corners of each face, counter-clockwise seen from outside, ``[n_face, 4]`` indices of vertices.
-    normals
-        Outward unit normal of each face, ``[n_face, 3]``.
-    voxels
-        Flat index of the voxel that each face belongs to, ``[n_face]``.
     """
 
-    vertices_m: NDArray[np.float64]
-    squares: NDArray[np.intp]
-    normals: NDArray[np.float64]
-    voxels: NDArray[np.intp]
+    vertices_m: NDArray[np.float64]  # corners, each listed once, ``[n_vertex, 3]`` metres
+    squares: NDArray[np.intp]  # vertices of each face, counter-clockwise seen from outside, ``[n_face, 4]``
+    normals: NDArray[np.float64]  # outward unit normal of each face, ``[n_face, 3]``
+    voxels: NDArray[np.intp]  # flat index of the voxel that each face belongs to, ``[n_face]``
 
     @property
     def triangles(self) -> NDArray[np.intp]:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
 from mvla_sim.imaging.method import title_of
+from mvla_sim.paper.averages import finite
 from mvla_sim.plot.style import COLORS, DOUBLE_COLUMN_IN, Given, figure_legend, figure_style, new_figure, save_figure
 from mvla_sim.sweep.plan import Plan
 
@@ -26,20 +27,8 @@ BESIDE: Final = ("bp", "bp-peaks", "bp-normalised", "bp-gated")
 def ablation_table(table: pd.DataFrame) -> pd.DataFrame:
     """Mean CD of each method and scene, dB(m²): over intervals, SNRs and seeds alike.
 
-    Parameters
-    ----------
-    table
-        Rows of the experiment ``ablation``, with ``scene``, ``method`` and ``cd_db``.
-
-    Returns
-    -------
-    DataFrame
-        A row a method, in the order of the ladder, a column a scene, and ``mean``.
-
-    Raises
-    ------
-    DataError
-        No finished case.
+    The table is that of the experiment ``ablation``, with ``scene``, ``method`` and ``cd_db``. Returned are a row a
+    method, in the order of the ladder, a column a scene, and ``mean``. Raises DataError without a finished case.
     """
     done = _finished(table)
     means = done.pivot_table(index="method", columns="scene", values="cd_db", aggfunc="mean", sort=False)
@@ -56,9 +45,7 @@ def plot_ablation(table: pd.DataFrame, *, figure: Given | None = None) -> Figure
     done = _finished(table, ("scene", "method", "interval_deg", "cd_db"))
     scenes = list(dict.fromkeys(done["scene"]))
     names = [name for name in (*LADDER, *BESIDE) if name in set(done["method"])]
-    colors = [COLORS[key] for key in ("grey", "sky", "green", "blue")] + [
-        COLORS[key] for key in ("vermilion", "orange", "purple", "black")
-    ]
+    colors = [COLORS[key] for key in ("grey", "sky", "green", "blue", "vermilion", "orange", "purple", "black")]
     with figure_style():
         canvas = figure or new_figure(DOUBLE_COLUMN_IN, 0.42 * DOUBLE_COLUMN_IN)
         axes = np.atleast_1d(canvas.subplots(1, len(scenes), sharey=True))
@@ -106,7 +93,7 @@ def _finished(table: pd.DataFrame, needed: Sequence[str] = ("scene", "method", "
     missing = [name for name in needed if name not in table.columns]
     if missing:
         raise DataError(f"ablation: the table lacks the column {missing[0]}")
-    done: pd.DataFrame = table[(table["status"] == "done") & np.isfinite(table["cd_db"])]
+    done = finite(table[table["status"] == "done"])
     if done.empty:
         raise DataError("ablation: no case is finished")
     return done

@@ -10,20 +10,9 @@ import pandas as pd
 from scipy.stats import spearmanr
 
 __all__ = [
-    "BP",
-    "DENSE_DEG",
-    "MVLA",
-    "SPARSE_DEG",
-    "CannotTellError",
-    "calibrated_means",
-    "dense_and_sparse",
-    "left_out",
-    "mean_advantage",
-    "mean_cd",
-    "need",
-    "rank_correlation",
-    "spread_over_snr",
-]
+    "BP", "DENSE_DEG", "MVLA", "SPARSE_DEG", "CannotTellError", "calibrated_means", "dense_and_sparse", "finite",
+    "left_out", "mean_advantage", "mean_cd", "need", "rank_correlation", "spread_over_snr",
+]  # fmt: skip
 
 MVLA, BP = "mvla-gr", "bp"
 SPARSE_DEG: Final = 10.0
@@ -35,6 +24,11 @@ LEAST_RANKED: Final = 3
 
 class CannotTellError(Exception):
     """The table does not hold what the claim is about."""
+
+
+def finite(table: pd.DataFrame) -> pd.DataFrame:
+    """Cases with a finite CD."""
+    return table[np.isfinite(table["cd_db"].astype(float))]
 
 
 def left_out(frames: Sequence[pd.DataFrame]) -> str:
@@ -55,8 +49,7 @@ def mean_cd(table: pd.DataFrame) -> pd.DataFrame:
     """Mean CD of each condition ``(snr_db, interval_deg)``, a column a method."""
     table = table[table["method"].isin((MVLA, BP))]
     every = table.groupby(["snr_db", "interval_deg"]).size()
-    finite = table[np.isfinite(table["cd_db"].astype(float))]
-    means = finite.groupby(["snr_db", "interval_deg", "method"])["cd_db"].mean().unstack("method")
+    means = finite(table).groupby(["snr_db", "interval_deg", "method"])["cd_db"].mean().unstack("method")
     means = pd.DataFrame(means.reindex(index=every.index, columns=[MVLA, BP]))
     if lacking := [(place, m) for m in (MVLA, BP) for place in means.index[means[m].isna()]]:
         (snr, interval), method = lacking[0]

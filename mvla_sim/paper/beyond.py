@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 import pandas as pd
 
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
 from mvla_sim.imaging.method import title_of
 from mvla_sim.paper.ablation import ablation_table, plot_ablation
+from mvla_sim.paper.averages import finite
 from mvla_sim.paper.fair import EXPLAINED, WAYS, automatic_cost, fair_table, plot_fair
 from mvla_sim.paper.page import Section, table_html
 from mvla_sim.paper.robustness import plot_robustness
@@ -157,13 +157,11 @@ def _benchmark(folder: Path) -> Iterator[Section]:
 def _titled(table: pd.DataFrame) -> pd.DataFrame:
     """Methods by their titles, as the first column; ranks as plain numbers."""
     shown = table.copy()
-    for name in shown:
-        if str(name).endswith(" rank"):
+    heads = {name: f"AP {name[3:-2]} cm" for name in map(str, shown) if re.fullmatch(r"ap_[\d.]+cm", name)}
+    for number, name in enumerate(map(str, shown)):
+        if name.endswith(" rank"):
             shown[name] = [str(rank) for rank in shown[name]]
-    shown = shown.rename(
-        columns={name: f"AP {name[3:-2]} cm" for name in map(str, shown) if re.fullmatch(r"ap_[\d.]+cm", name)}
-    )
-    heads = {str(name): "rank" + " " * n for n, name in enumerate(shown) if str(name).endswith(" rank")}
+            heads[name] = "rank" + " " * number  # columns of one head differ by blanks
     shown = shown.rename(columns=heads)
     shown.insert(0, "method", [title_of(str(name)) for name in table.index])
     return shown
@@ -176,5 +174,4 @@ def _stored(folder: Path, *columns: str) -> pd.DataFrame | None:
     table = load_table(folder)
     if not {"cd_db", *columns} <= set(table.columns):
         return None
-    done = (table["status"] == "done") & np.isfinite(table["cd_db"].astype(float))
-    return table if done.any() else None
+    return None if finite(table[table["status"] == "done"]).empty else table

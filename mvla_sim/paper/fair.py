@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.method import title_of
+from mvla_sim.paper.averages import finite
 from mvla_sim.plot.curves import LINE_COLORS, MARKERS
 from mvla_sim.plot.style import DOUBLE_COLUMN_IN, Given, figure_legend, figure_style, new_figure
 
@@ -45,13 +46,10 @@ def fair_table(
     Parameters
     ----------
     tables
-        Rows by the way's name, as in :data:`WAYS`; every one has ``scene``, ``method``, ``interval_deg`` and ``cd_db``.
-        A column ``ap_…cm`` of the first is taken as well.
-        Only intervals, SNRs, offsets and seeds that are in all of them count.
-    scene
-        The scene that counts.
-    least_interval_deg
-        Only intervals of at least this.
+        Rows by the way's name, as in :data:`WAYS`; every one has the columns :data:`NEEDED`. A column ``ap_…cm`` of the
+        first is taken as well. Only intervals, SNRs, offsets and seeds that are in all of them count.
+    scene, least_interval_deg
+        Only this scene, and intervals of at least this, count.
 
     Returns
     -------
@@ -80,15 +78,15 @@ def fair_table(
     lacking: pd.Series[int] | None = None
     for name, table in asked.items():
         wanted = table[table.index.isin(common)]
-        finite = wanted[(wanted["status"] == "done") & np.isfinite(wanted["cd_db"].astype(float))]
-        if finite.empty:
+        done = finite(wanted[wanted["status"] == "done"])
+        if done.empty:
             raise DataError(f"fair thresholds: no finished case of {scene} in {name}")
-        columns[name] = finite.groupby("method", sort=False)["cd_db"].mean()
-        lost = wanted.groupby("method").size().sub(finite.groupby("method").size(), fill_value=0)
+        columns[name] = done.groupby("method", sort=False)["cd_db"].mean()
+        lost = wanted.groupby("method").size().sub(done.groupby("method").size(), fill_value=0)
         lacking = lost if lacking is None else lacking.add(lost, fill_value=0)
         if name == next(iter(tables)):
-            for area in [column for column in finite.columns if column.startswith("ap_")][:1]:
-                columns[area] = finite.groupby("method", sort=False)[area].mean()
+            for area in [column for column in done.columns if column.startswith("ap_")][:1]:
+                columns[area] = done.groupby("method", sort=False)[area].mean()
     found = pd.DataFrame(columns)
     result = pd.DataFrame(index=found.index)
     for column in map(str, found.columns):
@@ -104,29 +102,22 @@ def fair_table(
 def automatic_cost(optimal: pd.DataFrame, automatic: pd.DataFrame) -> pd.DataFrame:
     """Mean CD under automatic thresholds minus that under optimal ones, dB, by method and scene.
 
-    Parameters
-    ----------
-    optimal, automatic
-        Rows of the same cases, with ``scene``, ``method``, ``cd_db`` and what they have of the axes ``snr_db``,
-        ``interval_deg``, ``offset`` and ``seed``. Cases that lack a CD in one of them are left out.
-
-    Returns
-    -------
-    DataFrame
-        A row a method, by its mean; a column a scene, and ``mean``, NaN where a scene is missing.
+    Both tables have ``scene``, ``method``, ``cd_db`` and what they have of :data:`AXES`; cases that lack a CD in one of
+    them are left out. Returned are a row a method, by its mean; a column a scene, and ``mean``, NaN where a scene is
+    missing.
 
     Raises
     ------
     DataError
         A column is missing, cases cannot be told apart, or the tables have no finished case in common.
     """
-    axes = [name for name in ("snr_db", "interval_deg", "offset", "seed") if name in optimal and name in automatic]
+    axes = [name for name in AXES if name in optimal and name in automatic]
     keys = ["scene", "method", *axes]
     sides = []
     for table in (optimal, automatic):
         if lacking := [name for name in (*keys, "cd_db") if name not in table]:
             raise DataError(f"automatic thresholds: a table lacks the column {lacking[0]}")
-        done = table[(table["status"] == "done") & np.isfinite(table["cd_db"].astype(float))]
+        done = finite(table[table["status"] == "done"])
         if done.duplicated(keys).any():
             raise DataError(f"automatic thresholds: a table has several cases of one {', '.join(keys)}")
         sides.append(done.set_index(keys)["cd_db"].astype(float))

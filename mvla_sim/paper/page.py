@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import html
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -69,33 +68,16 @@ Figures = Sequence[tuple["Path | Sequence[tuple[bytes, str]]", str]]
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """One part of the page.
-
-    Attributes
-    ----------
-    title
-        Heading.
-    text
-        A paragraph, plain text.
-    figures
-        Each a PNG file, or PNGs with alt texts that stand beside each other where there is room, and its caption.
-    tables
-        Tables as HTML, from :func:`table_html`.
-    folded
-        Long plain texts behind a click, by title; printed in full.
-    warning
-        A paragraph that must not be overlooked.
-    keys
-        Figures that say most, each with what it is.
-    """
+    """One part of the page."""
 
     title: str
-    text: str = ""
+    text: str = ""  # a paragraph, plain text
+    # Each a PNG file, or PNGs with alt texts that stand beside each other where there is room, and its caption.
     figures: Figures = ()
-    tables: Sequence[str] = ()
-    folded: Mapping[str, str] = field(default_factory=dict)
-    warning: str = ""
-    keys: Sequence[tuple[str, str]] = ()
+    tables: Sequence[str] = ()  # tables as HTML, from `table_html`
+    folded: Mapping[str, str] = field(default_factory=dict)  # long texts behind a click, by title; printed in full
+    warning: str = ""  # a paragraph that must not be overlooked
+    keys: Sequence[tuple[str, str]] = ()  # figures that say most, each with what it is
 
     def __repr__(self) -> str:
         """One line: its heading."""
@@ -178,8 +160,3 @@ def _cell(value: Any, digits: int, name: object) -> str:
         text = "–" if math.isnan(value) else f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
         return f'<td class="number"{label}>{text}</td>'
     return f"<td{label}>{html.escape(str(value))}</td>"
-
-
-def pretty(data: Mapping[str, Any]) -> str:
-    """Plain data as indented JSON, for a folded text."""
-    return json.dumps(data, indent=1, sort_keys=True, ensure_ascii=False)

@@ -16,17 +16,11 @@ from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.image import Image
+from mvla_sim.paper.averages import finite
 from mvla_sim.paper.claims import PAPER_ETA, PAPER_KAPPA
-from mvla_sim.plot.drawing import Panel, draw_binary, panel_grid
-from mvla_sim.plot.style import (
-    COLORS,
-    DOUBLE_COLUMN_IN,
-    SINGLE_COLUMN_IN,
-    Given,
-    figure_legend,
-    figure_style,
-    new_figure,
-)
+from mvla_sim.plot import drawing, style
+from mvla_sim.plot.drawing import Panel
+from mvla_sim.plot.style import Given
 
 __all__ = ["parameter_maps", "plot_cd_panels", "plot_examples", "plot_parameter_maps", "plot_verdicts"]
 
@@ -45,7 +39,7 @@ def plot_parameter_maps(table: pd.DataFrame, only: str | None = None, *, figure:
     only
         Name of a scene, or "average": that map alone, on the colours of all, with its values written into it.
     figure
-        An empty figure, or part of one, to draw into; by default a new one.
+        Where to draw; by default a new one. It is returned.
 
     Raises
     ------
@@ -63,8 +57,10 @@ def plot_parameter_maps(table: pd.DataFrame, only: str | None = None, *, figure:
     if not np.isfinite(values).any():
         raise DataError("parameter maps: no finite CD to draw")
     shown = maps if only is None else {only: maps[only]}
-    with figure_style():
-        canvas = figure or new_figure(*((DOUBLE_COLUMN_IN, 2.5) if only is None else (SINGLE_COLUMN_IN, 3.2)))
+    with style.figure_style():
+        canvas = figure or style.new_figure(
+            *((style.DOUBLE_COLUMN_IN, 2.5) if only is None else (style.SINGLE_COLUMN_IN, 3.2))
+        )
         panels = canvas.subplots(1, len(shown), sharey=True, squeeze=False)[0]
         for axes, (name, grid) in zip(panels, shown.items(), strict=True):
             mesh = _draw_parameter_map(
@@ -75,14 +71,14 @@ def plot_parameter_maps(table: pd.DataFrame, only: str | None = None, *, figure:
         panels[0].set_ylabel("κ")
         canvas.colorbar(mesh, ax=list(panels), label="Chamfer distance (dB(m²))", pad=0.01)
         keys = [_key("o", "smallest CD"), _key("x", f"paper: κ = {PAPER_KAPPA:g}, η = {PAPER_ETA:g}")]
-        figure_legend(canvas, keys, columns=2)
+        style.figure_legend(canvas, keys, columns=2)
     return canvas
 
 
 def parameter_maps(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """Mean CD by scene, dB(m²), rows κ and columns η; first "average", their mean where every scene has a value."""
-    finite = table.assign(cd_db=table["cd_db"].where(np.isfinite(table["cd_db"].astype(float))))
-    by_scene = finite.groupby(["scene", "kappa", "eta"], sort=False)["cd_db"].mean().unstack("scene")
+    cleared = table.assign(cd_db=table["cd_db"].where(np.isfinite(table["cd_db"].astype(float))))
+    by_scene = cleared.groupby(["scene", "kappa", "eta"], sort=False)["cd_db"].mean().unstack("scene")
     by_scene = by_scene[list(table["scene"].unique())]
     columns = {"average": by_scene.mean(axis=1, skipna=False)} | {str(name): by_scene[name] for name in by_scene}
     return {name: pd.DataFrame(column.unstack("eta").sort_index()) for name, column in columns.items()}
@@ -104,36 +100,38 @@ def plot_cd_panels(
     only
         Draw the panel of this SNR in dB alone, wider, on the axes of all.
     figure
-        An empty figure, or part of one, to draw into; by default a new one.
+        Where to draw; by default a new one. It is returned.
 
     Raises
     ------
     DataError
         There is no finite CD, or none at this SNR.
     """
-    finite = table[np.isfinite(table["cd_db"].astype(float))]
-    groups = finite.groupby(["snr_db", "method", "interval_deg"])["cd_db"]
+    shown = finite(table)
+    groups = shown.groupby(["snr_db", "method", "interval_deg"])["cd_db"]
     curves = pd.DataFrame({"mean": groups.mean(), "low": groups.quantile(0.1), "high": groups.quantile(0.9)})
-    levels = sorted(finite["snr_db"].unique())
+    levels = sorted(shown["snr_db"].unique())
     if not levels or (only is not None and only not in levels):
         raise DataError(f"CD panels: no finite CD{'' if only is None else f' at {only:g} dB'} to draw")
-    with figure_style():
-        shown = levels if only is None else [only]
-        canvas = figure or new_figure(*((DOUBLE_COLUMN_IN, 2.1) if only is None else (SINGLE_COLUMN_IN, 2.3)))
-        panels = canvas.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
-        for axes, snr in zip(panels, shown, strict=True):
+    drawn = levels if only is None else [only]
+    with style.figure_style():
+        canvas = figure or style.new_figure(
+            *((style.DOUBLE_COLUMN_IN, 2.1) if only is None else (style.SINGLE_COLUMN_IN, 2.3))
+        )
+        panels = canvas.subplots(1, len(drawn), sharex=True, sharey=True, squeeze=False)[0]
+        for axes, snr in zip(panels, drawn, strict=True):
             for method, (label, color, marker) in METHODS.items():
                 part = curves[[place[:2] == (snr, method) for place in curves.index]]
                 x = part.index.get_level_values("interval_deg").to_numpy()
-                axes.fill_between(x, part["low"], part["high"], color=COLORS[color], alpha=0.2, linewidth=0)
-                axes.plot(x, part["mean"], color=COLORS[color], marker=marker, markersize=2.2, label=label)
+                axes.fill_between(x, part["low"], part["high"], color=style.COLORS[color], alpha=0.2, linewidth=0)
+                axes.plot(x, part["mean"], color=style.COLORS[color], marker=marker, markersize=2.2, label=label)
             axes.set_title(f"SNR {snr:g} dB")
             axes.set_xlabel("Δθ (°)")
             axes.grid(visible=True)
         margin = 0.04 * float(curves["high"].max() - curves["low"].min()) or 1.0
         panels[0].set_ylim(float(curves["low"].min()) - margin, float(curves["high"].max()) + margin)
         panels[0].set_ylabel("Chamfer distance (dB(m²))")
-        figure_legend(canvas, panels[0].get_legend_handles_labels()[0], columns=2)
+        style.figure_legend(canvas, panels[0].get_legend_handles_labels()[0], columns=2)
         if title:
             canvas.suptitle(title)
     return canvas
@@ -153,9 +151,9 @@ def plot_examples(
     if not images or len({len(images), len(truths), len(occupied), len(labels)}) > 1:
         raise DataError("examples: images, truths, binary images and labels must be equally many, at least 1")
     rows = -(-len(images) // columns)
-    with figure_style():
-        canvas, panels = panel_grid(
-            DOUBLE_COLUMN_IN,
+    with style.figure_style():
+        canvas, panels = drawing.panel_grid(
+            style.DOUBLE_COLUMN_IN,
             [images[0].grid] * rows,
             columns,
             edges_in=(0.42, 0.12, 0.6, 0.25),
@@ -167,10 +165,10 @@ def plot_examples(
         for axes in flat[len(images) :]:
             axes.set_axis_off()
         for axes, image, truth, mask, label in zip(flat, images, truths, occupied, labels, strict=False):
-            drawn = draw_binary(axes, image, truth, mask, image.grid.shape[0] // 2)
+            drawn = drawing.draw_binary(axes, image, truth, mask, image.grid.shape[0] // 2)
             handles |= {str(handle.get_label()): handle for handle in drawn}
             axes.set_title(label)
-        figure_legend(canvas, list(handles.values()), columns=4)
+        style.figure_legend(canvas, list(handles.values()), columns=4)
     return canvas
 
 
@@ -186,9 +184,9 @@ def plot_verdicts(verdicts: pd.DataFrame, *, ax: Panel | None = None) -> Figure 
     """
     order = list(VERDICTS)
     codes = verdicts.map(order.index).to_numpy()
-    colors = ListedColormap([COLORS["sky"], COLORS["orange"], "#EEEEEE"])
-    with figure_style():
-        figure = new_figure(DOUBLE_COLUMN_IN * 0.75, 0.6 + 0.16 * len(verdicts))
+    colors = ListedColormap([style.COLORS["sky"], style.COLORS["orange"], "#EEEEEE"])
+    with style.figure_style():
+        figure = style.new_figure(style.DOUBLE_COLUMN_IN * 0.75, 0.6 + 0.16 * len(verdicts))
         axes = figure.subplots() if ax is None else ax
         axes.imshow(codes, aspect="auto", cmap=colors, vmin=0, vmax=2)
         for (row, column), code in np.ndenumerate(codes):

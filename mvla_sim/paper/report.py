@@ -6,16 +6,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output
 from mvla_sim.measured.process_files import RESULT
-from mvla_sim.paper.averages import mean_advantage
+from mvla_sim.paper.averages import finite, mean_advantage
 from mvla_sim.paper.beyond import sections_beyond
 from mvla_sim.paper.claims import Claim, ResultTables, claims_table, judge, thresholds_table
-from mvla_sim.paper.page import Section, pretty, table_html, write_page
+from mvla_sim.paper.page import Section, table_html, write_page
 from mvla_sim.paper.panels import parameter_maps, plot_cd_panels, plot_examples, plot_parameter_maps, plot_verdicts
 from mvla_sim.plot.style import png_bytes, save_figure
 from mvla_sim.sweep.plan import Plan
@@ -101,13 +100,9 @@ def draw_examples(plan: Plan, folder: Path) -> list[Path]:
             f"{o.case.values['interval_deg']:g}°, {o.case.values['snr_db']:g} dB: CD {o.evaluation.cd_db:.1f} dB(m²)"
             for o in shown
         ]
-        figure = plot_examples(
-            [o.image for o in shown],
-            [o.evaluation.truth for o in shown],
-            [o.evaluation.occupied for o in shown],
-            labels,
-        )
         drawn.append(folder / f"examples-{method}.png")
+        truths, masks = ([getattr(o.evaluation, name) for o in shown] for name in ("truth", "occupied"))
+        figure = plot_examples([o.image for o in shown], truths, masks, labels)
         save_figure(figure, drawn[-1])
     return drawn
 
@@ -122,7 +117,7 @@ def _keys(claims: list[Claim], optimal: pd.DataFrame | None, run: dict[str, Any]
     if "C3" in by_number:
         keys.append((f"{100 * by_number['C3'].measured:.0f} %", "of (SNR, Δθ) conditions in which MVLA-GR beats BP"))
     if optimal is not None:
-        means = optimal[np.isfinite(optimal["cd_db"].astype(float))]
+        means = finite(optimal)
         snr = means["snr_db"].max()
         means = means[means["snr_db"] == snr].groupby(["interval_deg", "method"])["cd_db"].mean().unstack("method")
         for interval in sorted({1.0, 5.0, 30.0} & set(means.dropna().index)):
@@ -176,10 +171,9 @@ def _curves(folder: Path, name: str, table: pd.DataFrame | None) -> Section:
         return Section(title, "Not run.")
     picture = folder / f"{name}.png"
     save_figure(plot_cd_panels(table), picture)
-    levels = sorted(table.loc[np.isfinite(table["cd_db"].astype(float)), "snr_db"].unique())
     pictures = [
         (png_bytes(plot_cd_panels(table, only=snr)), f"CD against Δθ at {snr:g} dB, {kind} thresholds")
-        for snr in levels
+        for snr in sorted(finite(table)["snr_db"].unique())
     ]
     caption = f"CD against Δθ under {kind} thresholds; lines: means over offsets and seeds, bands: 10 to 90 %"
     return Section(title, figures=[(pictures, caption)])
@@ -241,16 +235,16 @@ def _sensitivity(folder: Path, star: pd.DataFrame | None, maps: pd.DataFrame | N
         return Section(title, "Not run.")
     rows: dict[str, dict[str, str]] = {}
     gaps = []
-    for variant in star["variant"].unique():
+    for variant, table in star.groupby("variant", sort=False):
         part = None if maps is None else maps[maps["variant"] == variant]
-        claims = judge(ResultTables(kappa_eta=part, star_optimal=star[star["variant"] == variant]))
-        rows[variant] = {claim.number: claim.verdict for claim in claims}
+        claims = judge(ResultTables(kappa_eta=part, star_optimal=table))
+        rows[str(variant)] = {claim.number: claim.verdict for claim in claims}
         measured = {claim.number: claim.measured for claim in claims}
         gaps.append(
             {
                 "variant": variant,
                 "(0.5, 0.04) above the minimum (dB)": measured["C1"],
-                "mean advantage of MVLA-GR (dB)": mean_advantage(star[star["variant"] == variant]),
+                "mean advantage of MVLA-GR (dB)": mean_advantage(table),
                 "advantage at the densest (dB)": measured["C5"],
             }
         )
@@ -260,19 +254,18 @@ def _sensitivity(folder: Path, star: pd.DataFrame | None, maps: pd.DataFrame | N
     save_figure(plot_verdicts(verdicts), picture)
     _csv(verdicts.rename_axis("variant").reset_index(), folder / "sensitivity.csv")
     text = "Each row departs from the default settings in one point, on a smaller sweep of one seed and one offset."
-    return Section(
-        title,
-        text,
-        [(picture, "Verdicts by departure from the default settings")],
-        [table_html(pd.DataFrame(gaps), digits=3)],
-    )
+    figures = [(picture, "Verdicts by departure from the default settings")]
+    return Section(title, text, figures, [table_html(pd.DataFrame(gaps), digits=3)])
 
 
 def _record(folder: Path) -> Section:
     run = _json(folder / "run.json")
-    texts = {}
-    for file in sorted(folder.glob(f"*/{RECORD}")):
-        texts[f"Settings and provenance of {file.parent.name}"] = pretty(_json(file))
+    texts = {
+        f"Settings and provenance of {file.parent.name}": json.dumps(
+            _json(file), indent=1, sort_keys=True, ensure_ascii=False
+        )
+        for file in sorted(folder.glob(f"*/{RECORD}"))
+    }
     spent = run.get("seconds")
     seconds = pd.DataFrame(list(spent.items()) if isinstance(spent, dict) else [], columns=["experiment", "seconds"])
     total = f", {run['total_s']:.0f} s in all" if isinstance(run.get("total_s"), int | float) else ""

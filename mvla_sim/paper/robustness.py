@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError
 from mvla_sim.imaging.method import title_of
+from mvla_sim.paper.averages import finite
 from mvla_sim.plot.curves import DASHES, LINE_COLORS, MARKERS
 from mvla_sim.plot.style import DOUBLE_COLUMN_IN, Given, figure_legend, figure_style, new_figure, save_figure
 from mvla_sim.sweep.plan import Plan
@@ -62,23 +63,7 @@ def plot_robustness(
     Lines are means, bands the range over the seeds. Dotted lines in a panel with a logarithmic axis are the means
     without any impairment, which have no place on it.
 
-    Parameters
-    ----------
-    table
-        Table of an experiment whose axes or variants set ``imaging.impairments``; see :func:`robustness_curves`.
-    scene
-        Which scene; needed where the table has several.
-    f1, f1_label
-        Column of F1, and its name in the figure.
-    title
-        Title of the figure.
-    figure
-        An empty figure, or part of one, to draw into; by default a new one.
-
-    Raises
-    ------
-    DataError
-        As :func:`robustness_curves`.
+    Parameters and errors as :func:`robustness_curves`; ``f1_label`` is the name of the column of F1 in the figure.
     """
     curves = robustness_curves(table, scene=scene, f1=f1)
     names = [name for name in SWEPT if name in set(curves["impairment"])]
@@ -104,10 +89,7 @@ def plot_robustness(
         for place in range(len(names), blocks * columns):
             for row in (0, 1):
                 panels[2 * (place // columns) + row, place % columns].set_axis_off()
-        keys = [
-            Line2D([], [], color=_color(number), ls=_dash(number), marker=_marker(number), label=title_of(method))
-            for number, method in enumerate(methods)
-        ]
+        keys = [Line2D([], [], label=title_of(method), **_look(number)) for number, method in enumerate(methods)]
         figure_legend(canvas, keys)
         canvas.align_ylabels(panels[:, 0])
         if title:
@@ -118,7 +100,7 @@ def plot_robustness(
 def draw_robustness(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
     """Draw CD and F1 against each impairment, a figure a scene, where impairments are swept."""
     swept = [*plan.experiment.axes, *(key for variant in plan.experiment.variants for key in variant.set)]
-    if not any(key.startswith("imaging.impairments.") for key in swept):
+    if not any(key.startswith(BLOCK) for key in swept):
         return []
     centimetres = f"{100 * max(plan.experiment.evaluation.distances_m):g}"
     pictures: list[Path] = []
@@ -170,12 +152,9 @@ def robustness_curves(table: pd.DataFrame, *, scene: str | None = None, f1: str 
         if scene is not None and scene not in known:
             raise DataError(f"robustness: no scene '{scene}'; there are {', '.join(known)}")
         table = table[table["scene"] == (known[0] if scene is None else scene)]
-    done = table[np.isfinite(table["cd_db"].astype(float))].reset_index(drop=True)
-    if "status" in done:
-        done = done[done["status"] == "done"].reset_index(drop=True)
+    done = finite(table if "status" not in table else table[table["status"] == "done"]).reset_index(drop=True)
     strengths = pd.DataFrame({name: _strength(done, name) for name in SWEPT})
     impaired = (strengths != 0).sum(axis=1)
-    order = list(dict.fromkeys(done[method]))
     rows = []
     for name in SWEPT:
         if not (strengths[name][impaired == 1] != 0).any():
@@ -193,9 +172,10 @@ def robustness_curves(table: pd.DataFrame, *, scene: str | None = None, f1: str 
     if not rows:
         raise DataError("robustness: no finished case is impaired in one way alone; sweep imaging.impairments")
     found = pd.DataFrame(rows)
-    found["place"] = found["method"].map(order.index)
-    found["kind"] = found["impairment"].map(list(SWEPT).index)
-    return found.sort_values(["kind", "place", "strength"]).drop(columns=["place", "kind"]).reset_index(drop=True)
+    places = {"impairment": list(SWEPT).index, "method": list(dict.fromkeys(done[method])).index}
+    return found.sort_values(
+        ["impairment", "method", "strength"], key=lambda column: column.map(places.get(str(column.name), float))
+    ).reset_index(drop=True)
 
 
 def _strength(table: pd.DataFrame, name: str) -> NDArray[np.float64]:
@@ -218,14 +198,14 @@ def _draw(axes: Axes, part: pd.DataFrame, name: str, measure: str, methods: list
     kind = SWEPT[name]
     for number, method in enumerate(methods):
         rows = part[part["method"] == method]
-        color = _color(number)
+        look = _look(number)
         if kind.log:
             for level in rows[measure][rows["strength"] == 0]:
-                axes.axhline(level, color=color, ls=":", lw=0.8)
+                axes.axhline(level, color=look["color"], ls=":", lw=0.8)
             rows = rows[rows["strength"] > 0]
         x = kind.scale * rows["strength"].to_numpy(np.float64)
-        axes.fill_between(x, rows[f"{measure}_low"], rows[f"{measure}_high"], color=color, alpha=0.18, lw=0)
-        axes.plot(x, rows[measure], color=color, ls=_dash(number), marker=_marker(number), markersize=2.6)
+        axes.fill_between(x, rows[f"{measure}_low"], rows[f"{measure}_high"], color=look["color"], alpha=0.18, lw=0)
+        axes.plot(x, rows[measure], markersize=2.6, **look)
     axes.set_axisbelow(True)
     axes.grid(visible=True)
     if kind.log:
@@ -247,14 +227,7 @@ def _limits(curves: pd.DataFrame, measure: str) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _color(number: int) -> str:
-    return LINE_COLORS[number % len(LINE_COLORS)]
-
-
-def _dash(number: int) -> str:
-    """Methods beyond the colours are dashed, beyond twice as many dotted."""
-    return DASHES[number // len(LINE_COLORS) % len(DASHES)]
-
-
-def _marker(number: int) -> str:
-    return MARKERS[number % len(MARKERS)]
+def _look(number: int) -> dict[str, Any]:
+    """Line of a method; those beyond the colours are dashed, beyond twice as many dotted."""
+    dash = DASHES[number // len(LINE_COLORS) % len(DASHES)]
+    return {"color": LINE_COLORS[number % len(LINE_COLORS)], "ls": dash, "marker": MARKERS[number % len(MARKERS)]}

@@ -70,12 +70,7 @@ def plot_curves(
     width_in
         Width of the figure, inches.
     ax
-        Where to draw; by default in a new figure.
-
-    Returns
-    -------
-    Figure or Axes
-        The new figure, or ``ax``.
+        Where to draw; by default in a new figure. It is returned.
 
     Raises
     ------
@@ -131,13 +126,7 @@ def plot_curves(
 
 
 def _check_table(table: pd.DataFrame, keys: Sequence[str], values: Sequence[str]) -> None:
-    """Refuse a table without rows, without one of the columns, or with two rows of the same keys.
-
-    Raises
-    ------
-    DataError
-        One line that names the column or the keys.
-    """
+    """Raise DataError for a table without rows, without one of the columns, or with two rows of the same keys."""
     for column in [*keys, *values]:
         if column not in table.columns:
             raise DataError(f"curves: the table has no column '{column}'; it has {', '.join(map(str, table.columns))}")

@@ -26,23 +26,10 @@ from mvla_sim.plot.style import COLORS, MAPS, Given, new_figure
 from mvla_sim.scene.views import Views
 
 __all__ = [
-    "Bits",
-    "angle_axis",
-    "angle_cells",
-    "check_image",
-    "check_mask",
-    "color_bar",
-    "draw_binary",
-    "draw_classes",
-    "draw_direction",
-    "draw_outline",
-    "draw_score",
-    "draw_support",
-    "label_plane",
-    "panel_grid",
-    "score_label",
-    "view_count",
-]
+    "Bits", "angle_axis", "angle_cells", "check_image", "check_mask", "color_bar", "draw_binary", "draw_classes",
+    "draw_direction", "draw_outline", "draw_score", "draw_support", "label_plane", "panel_grid", "rings_of",
+    "score_label", "view_count",
+]  # fmt: skip
 
 Bits = NDArray[np.bool_]
 Handles = list[Patch | Line2D]
@@ -65,13 +52,7 @@ def view_count(count: int) -> str:
 
 
 def check_mask(mask: Bits, grid: VoxelGrid | None, name: str) -> None:
-    """Refuse a mask without a grid or of another shape than its grid.
-
-    Raises
-    ------
-    DataError
-        One line with both shapes.
-    """
+    """Raise DataError for a mask without a grid or of another shape than its grid."""
     if grid is None:
         raise DataError(f"picture: {name} of shape {mask.shape} comes without its grid")
     if mask.shape != grid.shape:
@@ -79,13 +60,7 @@ def check_mask(mask: Bits, grid: VoxelGrid | None, name: str) -> None:
 
 
 def check_image(image: Image, truth: Bits | None, occupied: Bits | None, layer: int | None) -> None:
-    """Refuse masks that do not fit an image's grid, and layers it does not have.
-
-    Raises
-    ------
-    DataError
-        One line with the value and what is allowed.
-    """
+    """Raise DataError for masks that do not fit an image's grid, and a layer it does not have."""
     for name, mask in (("truth", truth), ("occupied", occupied)):
         if mask is not None:
             check_mask(mask, image.grid, name)
@@ -111,20 +86,8 @@ def panel_grid(
 ) -> tuple[Figure | Given, list[list[Axes]]]:
     """Make a figure of panels that keep a grid's proportions: a row for each grid, columns of equal width.
 
-    Parameters
-    ----------
-    width_in
-        Width of the figure, inches; its height follows from the grids.
-    grids
-        What each row shows.
-    columns
-        Panels in a row.
-    edges_in
-        Space left, right, below and above all panels, inches.
-    gap_in
-        Space between columns and between rows, inches.
-    figure
-        Where to put the panels, in these proportions, instead of a new figure.
+    Its height follows from the grids. ``edges_in`` is the space left, right, below and above all panels, ``gap_in``
+    that between columns and between rows, inches. Panels go in these proportions into a figure that is given.
     """
     left, right, below, above = edges_in
     width = (width_in - left - right - (columns - 1) * gap_in[0]) / columns
@@ -213,21 +176,19 @@ def draw_classes(
 
 def draw_outline(axes: Axes, outline: BaseGeometry | None, fill: str = "none", width_pt: float = 0.5) -> None:
     """Draw every ring of an outline, holes too, as a thin line."""
-    areas = [] if outline is None else [area for area in shapely.get_parts(outline) if area.geom_type == "Polygon"]
-    rings = [ring for area in areas for ring in (area.exterior, *area.interiors) if not ring.is_empty]
-    if rings:
-        path = Path.make_compound_path(*(Path(shapely.get_coordinates(ring), closed=True) for ring in rings))
+    if outline is not None and (rings := rings_of(outline)):
+        path = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
         axes.add_patch(PathPatch(path, facecolor=fill, edgecolor="black", linewidth=width_pt))
 
 
-def draw_binary(axes: Axes, image: Image, truth: Bits | None, occupied: Bits, layer: int) -> Handles:
-    """Draw the retained voxels of one layer, told apart by the truth if it is given, and the outline.
+def rings_of(area: BaseGeometry) -> list[NDArray[np.float64]]:
+    """Every ring of an area, ``[n, 2]`` each."""
+    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon" and not part.is_empty]
+    return [shapely.get_coordinates(ring) for part in parts for ring in (part.exterior, *part.interiors)]
 
-    Returns
-    -------
-    list
-        Handles of the legend.
-    """
+
+def draw_binary(axes: Axes, image: Image, truth: Bits | None, occupied: Bits, layer: int) -> Handles:
+    """Draw the retained voxels of one layer, told apart by the truth if given, and the outline; return handles."""
     if truth is None:
         classes = [(occupied, HIT, "retained")]
     else:

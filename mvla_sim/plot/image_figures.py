@@ -17,29 +17,9 @@ from mvla_sim.errors import DataError
 from mvla_sim.evaluation.boxes import Box
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.method import title_of
-from mvla_sim.plot.drawing import (
-    HIT,
-    OVER_MAP,
-    Bits,
-    Panels,
-    check_image,
-    draw_binary,
-    draw_classes,
-    draw_outline,
-    draw_score,
-    draw_support,
-    label_plane,
-    panel_grid,
-    view_count,
-)
-from mvla_sim.plot.style import (
-    COLORS,
-    DOUBLE_COLUMN_IN,
-    SINGLE_COLUMN_IN,
-    Given,
-    figure_legend,
-    figure_style,
-)
+from mvla_sim.plot import drawing, style
+from mvla_sim.plot.drawing import Bits, Panels
+from mvla_sim.plot.style import Given
 
 __all__ = ["plot_comparison", "plot_image", "plot_measured", "score_caption"]
 
@@ -75,12 +55,7 @@ def plot_image(
     layer
         Index of the layer of a three-dimensional grid; by default the middle one.
     axes
-        One for each panel, in this order; by default those of a new figure.
-
-    Returns
-    -------
-    Figure or sequence of Axes
-        The new figure, or ``axes``.
+        One for each panel, in this order; by default those of a new figure. They are returned.
 
     Raises
     ------
@@ -89,29 +64,29 @@ def plot_image(
         axes than panels.
     """
     occupied = image.occupied if occupied is None else occupied
-    check_image(image, truth, occupied, layer)
+    drawing.check_image(image, truth, occupied, layer)
     index = image.grid.shape[0] // 2 if layer is None else layer
     shown = {"Score": image.score, "Angular support": image.support_deg, "Binary image": occupied}
     names = [name for name, values in shown.items() if values is not None]
     if axes is not None and len(axes) != len(names):
         raise DataError(f"picture: {len(axes)} axes; {len(names)} are needed: {', '.join(names)}")
-    name = title or f"{title_of(image.method)}, {view_count(image.n_view)}"
+    name = title or f"{title_of(image.method)}, {drawing.view_count(image.n_view)}"
     if image.grid.shape[0] > 1:
         name += f", layer at z = {image.grid.axes()[2][index]:.3g} m"
-    with figure_style():
+    with style.figure_style():
         panels: Sequence[Axes] = () if axes is None else axes
         if axes is None:
-            width = SINGLE_COLUMN_IN if len(names) == 1 else DOUBLE_COLUMN_IN * len(names) / 3
+            width = style.SINGLE_COLUMN_IN if len(names) == 1 else style.DOUBLE_COLUMN_IN * len(names) / 3
             edges = (0.42, 0.12, 0.9, 0.45 + 0.14 * name.count("\n"))
-            figure, (panels,) = panel_grid(width, [image.grid], len(names), edges_in=edges, gap_in=(0.15, 0.0))
+            figure, (panels,) = drawing.panel_grid(width, [image.grid], len(names), edges_in=edges, gap_in=(0.15, 0.0))
             figure.suptitle(name, y=1 - 0.06 / figure.get_figheight(), va="top")
         for panel, what in zip(panels, names, strict=True):
             panel.set_title(what if axes is None else f"{name}: {what[0].lower()}{what[1:]}" if title else what)
-        draw_score(panels[0], image, index, bar_below=True, inset=axes is None)
+        drawing.draw_score(panels[0], image, index, bar_below=True, inset=axes is None)
         if image.support_deg is not None:
-            draw_support(panels[1], image, index, bar_below=True, inset=axes is None)
+            drawing.draw_support(panels[1], image, index, bar_below=True, inset=axes is None)
         if occupied is not None:
-            handles = draw_binary(panels[-1], image, truth, occupied, index)
+            handles = drawing.draw_binary(panels[-1], image, truth, occupied, index)
             if axes is None:
                 middle = panels[-1].get_position()
                 anchor = (middle.x0 + middle.width / 2, 0.3 / figure.get_figheight())
@@ -121,7 +96,7 @@ def plot_image(
     if axes is None:
         return figure
     for panel in axes:
-        label_plane(panel)
+        drawing.label_plane(panel)
         panel.set(xlabel="x (m)", ylabel="y (m)")
     return axes
 
@@ -155,12 +130,7 @@ def plot_comparison(
     title
         Title of the figure.
     figure
-        An empty figure, or part of one, to draw into; by default a new one.
-
-    Returns
-    -------
-    Figure
-        What was drawn into.
+        Where to draw; by default a new one. It is returned.
 
     Raises
     ------
@@ -174,12 +144,12 @@ def plot_comparison(
             f"{'' if captions is None else f', {lengths[4]} captions'}; these must agree and be at least 1"
         )
     for image, truth, mask in zip(images, truths, occupied, strict=True):
-        check_image(image, truth, mask, None)
+        drawing.check_image(image, truth, mask, None)
     columns = 2 + any(image.support_deg is not None for image in images)
     lines = 0.14 * max(text.count("\n") for text in captions or [""])  # inches that captions need beyond one line
-    with figure_style():
-        canvas, panels = panel_grid(
-            DOUBLE_COLUMN_IN * columns / 3,
+    with style.figure_style():
+        canvas, panels = drawing.panel_grid(
+            style.DOUBLE_COLUMN_IN * columns / 3,
             [image.grid for image in images],
             columns,
             edges_in=(0.42, 0.12, 0.6, lines + (0.45 if title else 0.25)),
@@ -190,19 +160,19 @@ def plot_comparison(
         for row, (image, truth, mask, label) in enumerate(zip(images, truths, occupied, labels, strict=True)):
             index = image.grid.shape[0] // 2
             first, *others, last = panels[row]
-            draw_score(first, image, index, bar_below=False)
+            drawing.draw_score(first, image, index, bar_below=False)
             for axes in others:
                 if image.support_deg is None:
                     axes.set_axis_off()
                     axes.text(0.5, 0.5, "no angular support", ha="center", color="0.4", transform=axes.transAxes)
                 else:
-                    draw_support(axes, image, index, bar_below=False)
-            drawn = draw_binary(last, image, truth, mask, index)
+                    drawing.draw_support(axes, image, index, bar_below=False)
+            drawn = drawing.draw_binary(last, image, truth, mask, index)
             handles |= {str(handle.get_label()): handle for handle in drawn}
             if captions is not None:
                 last.set_title(captions[row], loc="right" if lines else "center")
             first.set_title(label, loc="left", fontweight="bold")
-        figure_legend(canvas, list(handles.values()), columns=4)
+        style.figure_legend(canvas, list(handles.values()), columns=4)
         if title:
             canvas.suptitle(title, y=1 - 0.06 * canvas.dpi / canvas.bbox.height, va="top")
     return canvas
@@ -235,46 +205,46 @@ def plot_measured(
     title
         Title of the figure.
     figure
-        An empty figure, or part of one, to draw into; by default a new one.
-
-    Returns
-    -------
-    Figure
-        What was drawn into.
+        Where to draw; by default a new one. It is returned.
 
     Raises
     ------
     DataError
         ``occupied`` is not of the grid's shape.
     """
-    check_image(image, None, occupied, None)
+    drawing.check_image(image, None, occupied, None)
     flat = _from_above(image)
     low, high = flat.grid.bounds_m()
-    with figure_style():
+    with style.figure_style():
         above = 0.45 if title else 0.25
-        canvas, ((left, right),) = panel_grid(
-            DOUBLE_COLUMN_IN, [flat.grid], 2, edges_in=(0.42, 0.12, 0.62, above), gap_in=(0.75, 0.0), figure=figure
+        canvas, ((left, right),) = drawing.panel_grid(
+            style.DOUBLE_COLUMN_IN,
+            [flat.grid],
+            2,
+            edges_in=(0.42, 0.12, 0.62, above),
+            gap_in=(0.75, 0.0),
+            figure=figure,
         )
-        draw_score(left, flat, 0, bar_below=False)
+        drawing.draw_score(left, flat, 0, bar_below=False)
         left.set_title("(a) Continuous support map (score)")
-        draw_classes(right, [(np.asarray(np.any(occupied, axis=0, keepdims=True)), HIT)], flat.grid, 0)
+        drawing.draw_classes(right, [(np.asarray(np.any(occupied, axis=0, keepdims=True)), drawing.HIT)], flat.grid, 0)
         right.set_title("(b) Binary result")
-        handles: list[Patch | Line2D] = [Patch(color=HIT, label="retained")]
+        handles: list[Patch | Line2D] = [Patch(color=drawing.HIT, label="retained")]
         if outline is not None:
-            for axes, color in ((left, OVER_MAP), (right, "black")):
-                draw_outline(axes, outline, width_pt=0.7)
+            for axes, color in ((left, drawing.OVER_MAP), (right, "black")):
+                drawing.draw_outline(axes, outline, width_pt=0.7)
                 for patch in axes.patches:
                     patch.set_edgecolor(color)
             handles.append(Line2D([], [], color="black", linewidth=0.7, label="outline, in (a) blue"))
         if box is not None:
-            color = COLORS["vermilion"]
+            color = style.COLORS["vermilion"]
             right.add_patch(Polygon(box.corners_m, fill=False, edgecolor=color, linestyle="--", linewidth=0.9))
             size = f"bounding box, {box.length_m:.2f} m × {box.width_m:.2f} m"
             handles.append(Line2D([], [], color=color, linestyle="--", linewidth=0.9, label=size))
         for axes in (left, right):
             axes.set_xlim(low[0], high[0])
             axes.set_ylim(low[1], high[1])
-        figure_legend(canvas, handles, columns=3)
+        style.figure_legend(canvas, handles, columns=3)
         if title:
             canvas.suptitle(title, y=1 - 0.06 * canvas.dpi / canvas.bbox.height, va="top")
     return canvas

@@ -13,26 +13,9 @@ from matplotlib.patches import Patch, Rectangle
 from mvla_sim.dataset.access import Sample
 from mvla_sim.errors import DataError
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.plot.drawing import (
-    TARGET,
-    Bits,
-    Panel,
-    check_mask,
-    draw_classes,
-    draw_direction,
-    draw_outline,
-    label_plane,
-    view_count,
-)
-from mvla_sim.plot.style import (
-    COLORS,
-    DOUBLE_COLUMN_IN,
-    SINGLE_COLUMN_IN,
-    Given,
-    figure_legend,
-    figure_style,
-    new_figure,
-)
+from mvla_sim.plot import drawing, style
+from mvla_sim.plot.drawing import Bits, Panel
+from mvla_sim.plot.style import Given
 from mvla_sim.scene.world import Scene
 
 __all__ = ["plot_samples", "plot_scene"]
@@ -57,12 +40,7 @@ def plot_scene(
     grid
         The imaging grid; its frame is drawn.
     ax
-        Where to draw, in metres; by default in a new figure.
-
-    Returns
-    -------
-    Figure or Axes
-        The new figure, or ``ax``.
+        Where to draw, in metres; by default in a new figure. It is returned.
 
     Raises
     ------
@@ -70,17 +48,19 @@ def plot_scene(
         ``truth`` is not of the grid's shape, or comes without a grid.
     """
     if truth is not None:
-        check_mask(truth, grid, "truth")
+        drawing.check_mask(truth, grid, "truth")
     x, y, _ = scene.views.positions_m.T
-    with figure_style():
-        figure = new_figure(SINGLE_COLUMN_IN, 3.75)
+    with style.figure_style():
+        figure = style.new_figure(style.SINGLE_COLUMN_IN, 3.75)
         axes = figure.add_subplot() if ax is None else ax
-        label_plane(axes)
-        draw_outline(axes, scene.outline, fill=TARGET)
-        handles: list[Patch | Line2D] = [Patch(facecolor=TARGET, edgecolor="black", linewidth=0.5, label="target")]
+        drawing.label_plane(axes)
+        drawing.draw_outline(axes, scene.outline, fill=drawing.TARGET)
+        handles: list[Patch | Line2D] = [
+            Patch(facecolor=drawing.TARGET, edgecolor="black", linewidth=0.5, label="target")
+        ]
         if grid is not None and truth is not None:
-            draw_classes(axes, [(truth, COLORS["orange"])], grid, grid.shape[0] // 2, zorder=1.5)
-            handles.append(Patch(color=COLORS["orange"], label="ground truth"))
+            drawing.draw_classes(axes, [(truth, style.COLORS["orange"])], grid, grid.shape[0] // 2, zorder=1.5)
+            handles.append(Patch(color=style.COLORS["orange"], label="ground truth"))
         if grid is not None:
             low, high = grid.bounds_m()
             frame = Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1])
@@ -88,11 +68,11 @@ def plot_scene(
             axes.add_patch(frame)
             handles.append(Line2D([], [], linestyle="--", linewidth=0.8, color="0.4", label="imaging grid"))
         size = 3 if len(x) > 120 else 5
-        axes.plot(x, y, ".", color=COLORS["blue"], markersize=size, markeredgewidth=0)
-        axes.plot(x[:1], y[:1], "D", color=COLORS["vermilion"], markersize=5, zorder=4)
-        for marker, color, label in ((".", "blue", view_count(len(x))), ("D", "vermilion", "first view")):
-            handles.append(Line2D([], [], linestyle="", marker=marker, color=COLORS[color], label=label))
-        draw_direction(axes, scene.views, COLORS["vermilion"])
+        axes.plot(x, y, ".", color=style.COLORS["blue"], markersize=size, markeredgewidth=0)
+        axes.plot(x[:1], y[:1], "D", color=style.COLORS["vermilion"], markersize=5, zorder=4)
+        for marker, color, label in ((".", "blue", drawing.view_count(len(x))), ("D", "vermilion", "first view")):
+            handles.append(Line2D([], [], linestyle="", marker=marker, color=style.COLORS[color], label=label))
+        drawing.draw_direction(axes, scene.views, style.COLORS["vermilion"])
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.05)
         axes.autoscale()
@@ -102,7 +82,7 @@ def plot_scene(
         if ax is not None:
             ax.legend(handles=handles, frameon=True)
             return ax
-        figure_legend(figure, handles, columns=3)
+        style.figure_legend(figure, handles, columns=3)
     return figure
 
 
@@ -116,12 +96,7 @@ def plot_samples(samples: Sequence[Sample], *, figure: Given | None = None) -> F
     samples
         Of :func:`mvla_sim.open_dataset`.
     figure
-        An empty figure, or part of one, to draw into; by default a new one.
-
-    Returns
-    -------
-    Figure
-        What was drawn into.
+        Where to draw; by default a new one. It is returned.
 
     Raises
     ------
@@ -137,17 +112,17 @@ def plot_samples(samples: Sequence[Sample], *, figure: Given | None = None) -> F
     half = 1.06 * max(
         float(abs(places[:, :2] - middle).max()) for places, middle in zip(positions, middles, strict=True)
     )
-    with figure_style():
-        width = DOUBLE_COLUMN_IN * max(columns, 2) / COLUMNS
-        canvas = figure or new_figure(width, width / columns * rows * 1.12 + 0.45)
+    with style.figure_style():
+        width = style.DOUBLE_COLUMN_IN * max(columns, 2) / COLUMNS
+        canvas = figure or style.new_figure(width, width / columns * rows * 1.12 + 0.45)
         panels = canvas.subplots(rows, columns, squeeze=False)
         for panel in panels.flat[len(samples) :]:
             panel.set_axis_off()
         for number, (sample, places, middle) in enumerate(zip(samples, positions, middles, strict=True)):
             axes = panels.flat[number]
-            label_plane(axes)
-            draw_outline(axes, sample.outline, fill=TARGET)
-            axes.plot(places[:, 0], places[:, 1], ".", color=COLORS["blue"], markersize=2, markeredgewidth=0)
+            drawing.label_plane(axes)
+            drawing.draw_outline(axes, sample.outline, fill=drawing.TARGET)
+            axes.plot(places[:, 0], places[:, 1], ".", color=style.COLORS["blue"], markersize=2, markeredgewidth=0)
             axes.set_xlim(middle[0] - half, middle[0] + half)
             axes.set_ylim(middle[1] - half, middle[1] + half)
             axes.set_title(f"{sample.metadata['sample']}: {sample.metadata['family']}")
@@ -158,8 +133,8 @@ def plot_samples(samples: Sequence[Sample], *, figure: Given | None = None) -> F
             if number % columns == 0:
                 axes.set_ylabel("y (m)")
         handles: list[Patch | Line2D] = [
-            Patch(facecolor=TARGET, edgecolor="black", linewidth=0.5, label="target"),
-            Line2D([], [], linestyle="", marker=".", markersize=3, color=COLORS["blue"], label="sensor"),
+            Patch(facecolor=drawing.TARGET, edgecolor="black", linewidth=0.5, label="target"),
+            Line2D([], [], linestyle="", marker=".", markersize=3, color=style.COLORS["blue"], label="sensor"),
         ]
-        figure_legend(canvas, handles, columns=2)
+        style.figure_legend(canvas, handles, columns=2)
     return canvas

@@ -19,20 +19,9 @@ from mvla_sim.errors import ConfigError
 from mvla_sim.files import atomic_output
 
 __all__ = [
-    "COLORS",
-    "DOUBLE_COLUMN_IN",
-    "FIGURE_SUFFIXES",
-    "MAPS",
-    "PNG_DPI",
-    "SINGLE_COLUMN_IN",
-    "Canvas",
-    "Given",
-    "figure_legend",
-    "figure_style",
-    "new_figure",
-    "png_bytes",
-    "save_figure",
-]
+    "COLORS", "DOUBLE_COLUMN_IN", "FIGURE_SUFFIXES", "MAPS", "PNG_DPI", "SINGLE_COLUMN_IN", "Canvas", "Given",
+    "figure_legend", "figure_style", "new_figure", "png_bytes", "save_figure",
+]  # fmt: skip
 
 SINGLE_COLUMN_IN = 3.5
 """Width of one column of an IEEE journal, inches."""

@@ -22,16 +22,9 @@ from shapely.geometry.base import BaseGeometry
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.volumes import exposed_faces
-from mvla_sim.plot.drawing import (
-    OVER_MAP,
-    SCORE_PERCENTILE,
-    Bits,
-    check_image,
-    color_bar,
-    label_plane,
-    score_label,
-)
-from mvla_sim.plot.style import DOUBLE_COLUMN_IN, MAPS, Given, figure_style, new_figure
+from mvla_sim.plot import drawing, style
+from mvla_sim.plot.drawing import Bits
+from mvla_sim.plot.style import Given
 
 __all__ = ["plot_volume"]
 
@@ -75,22 +68,17 @@ def plot_volume(
     title
         Title of the figure.
     figure
-        An empty figure, or part of one, to draw into; by default a new one.
-
-    Returns
-    -------
-    Figure
-        What was drawn into.
+        Where to draw; by default a new one. It is returned.
 
     Raises
     ------
     DataError
         ``occupied`` is not of the grid's shape.
     """
-    check_image(image, None, occupied, None)
+    drawing.check_image(image, None, occupied, None)
     maps = {name: image.score.max(axis=2 - along) for name, along, _, _ in PROJECTIONS}
-    top = float(np.percentile(np.concatenate([values.ravel() for values in maps.values()]), SCORE_PERCENTILE))
-    with figure_style():
+    top = float(np.percentile(np.concatenate([values.ravel() for values in maps.values()]), drawing.SCORE_PERCENTILE))
+    with style.figure_style():
         canvas, panels, view = _volume_panels(image.grid, title, figure)
         low, high = image.grid.bounds_m()
         for axes, (name, along, right, up) in zip(panels, PROJECTIONS, strict=True):
@@ -98,20 +86,20 @@ def plot_volume(
                 maps[name],
                 origin="lower",
                 extent=(low[right], high[right], low[up], high[up]),
-                cmap=MAPS["score"],
+                cmap=style.MAPS["score"],
                 vmin=0,
                 vmax=top if top > 0 else 1,
             )
             axes.set_aspect("equal", adjustable="datalim")
             for mesh in meshes:
-                rings = _rings(_silhouette(mesh, right, up))
-                axes.add_collection(LineCollection(rings, colors=OVER_MAP, linewidths=0.7), autolim=False)
+                rings = drawing.rings_of(_silhouette(mesh, right, up))
+                axes.add_collection(LineCollection(rings, colors=drawing.OVER_MAP, linewidths=0.7), autolim=False)
             axes.set_title(f"{name}, along {AXIS_NAMES[along]}")
-        color_bar(panels[-1], drawn, f"largest {score_label(image)}", below=False, cut_off=True)
+        drawing.color_bar(panels[-1], drawn, f"largest {drawing.score_label(image)}", below=False, cut_off=True)
         _draw_view(view, image.grid, occupied, meshes)
         if meshes:
             handles = [
-                Line2D([], [], color=OVER_MAP, linewidth=0.8, label="mesh, its silhouette"),
+                Line2D([], [], color=drawing.OVER_MAP, linewidth=0.8, label="mesh, its silhouette"),
                 Line2D([], [], color=EDGE, linewidth=0.6, label="mesh, its edges"),
             ]
             canvas.legend(handles=handles, loc="lower left", ncols=1)
@@ -126,18 +114,18 @@ def _volume_panels(grid: VoxelGrid, title: str, figure: Given | None) -> tuple[F
     size = grid.spacing_m * np.array(grid.counts)
     widths = np.array([size[right] for _, _, right, _ in PROJECTIONS])
     heights = np.array([size[up] for _, _, _, up in PROJECTIONS])
-    room = DOUBLE_COLUMN_IN - left - end - 2 * gap
+    room = style.DOUBLE_COLUMN_IN - left - end - 2 * gap
     scale = min(room / widths.sum(), HIGHEST_PANEL_IN / heights.max())  # inches a metre
     widths, heights = (np.maximum(scale * lengths, LOWEST_PANEL_IN) for lengths in (widths, heights))
     widths *= min(1.0, room / widths.sum())
     left += (room - widths.sum()) / 2  # in the middle
     total = VIEW_IN + below + heights.max() + above
-    canvas = figure or new_figure(DOUBLE_COLUMN_IN, total, constrained=False)
+    canvas = figure or style.new_figure(style.DOUBLE_COLUMN_IN, total, constrained=False)
     panels, x = [], left
     for (_, _, horizontal, vertical), width, height in zip(PROJECTIONS, widths, heights, strict=True):
-        place = x / DOUBLE_COLUMN_IN, (VIEW_IN + below) / total, width / DOUBLE_COLUMN_IN, height / total
+        place = x / style.DOUBLE_COLUMN_IN, (VIEW_IN + below) / total, width / style.DOUBLE_COLUMN_IN, height / total
         axes = canvas.add_axes(place)
-        label_plane(axes)
+        drawing.label_plane(axes)
         for axis, length in ((axes.xaxis, width), (axes.yaxis, height)):
             count = int(np.clip(length / 0.3, 1, 5))
             axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10], min_n_ticks=1))
@@ -161,7 +149,7 @@ def _draw_view(axes: Axes3D, grid: VoxelGrid, occupied: Bits, meshes: Sequence[t
     low, high = (bounds.min(axis=0), bounds.max(axis=0)) if len(bounds) else grid.bounds_m()
     if len(corners):
         height = (corners[..., 2].mean(axis=1) - low[2]) / max(high[2] - low[2], grid.spacing_m)
-        colors = colormaps[MAPS["ordered"]](0.1 + 0.85 * height)
+        colors = colormaps[style.MAPS["ordered"]](0.1 + 0.85 * height)
         colors[:, :3] *= (np.abs(surface.normals[seen]) @ np.array(LIGHT))[:, None]
         faces = Poly3DCollection(corners, facecolors=colors, edgecolors=colors, linewidths=0.15, zorder=2)
         faces.set_rasterized(True)
@@ -194,7 +182,7 @@ def _fill(axes: Axes3D, low: Floats, high: Floats) -> Floats:
     corners = [(low, high)[k][axis] for axis in range(3) for k in np.arange(8) >> axis & 1]
     x, y, _ = proj3d.proj_transform(*np.reshape(corners, (3, 8)), axes.get_proj())
     places = axes.transData.transform(np.stack([x, y], axis=-1)) / axes.figure.dpi  # [8, 2] inches
-    room = np.array([DOUBLE_COLUMN_IN - 1.4, VIEW_IN - 0.8])
+    room = np.array([style.DOUBLE_COLUMN_IN - 1.4, VIEW_IN - 0.8])
     zoom = float((room / np.ptp(places, axis=0)).min())
     axes.set_box_aspect(high - low, zoom=zoom)
     return np.asarray(zoom * np.linalg.norm(places[[1, 2, 4]] - places[0], axis=1), np.float64)
@@ -209,12 +197,6 @@ def _silhouette(mesh: trimesh.Trimesh, right: int, up: int) -> BaseGeometry:
     # The faces on one side of a closed mesh cover what all do; those seen edge-on cover nothing.
     shown = (twice if mesh.is_watertight else np.abs(twice)) > 1e-9 * size**2
     return shapely.union_all(shapely.polygons(corners[shown]))
-
-
-def _rings(area: BaseGeometry) -> list[Floats]:
-    """Every ring of an area, ``[n, 2]`` each."""
-    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
-    return [shapely.get_coordinates(ring) for part in parts for ring in (part.exterior, *part.interiors)]
 
 
 def _edges(mesh: trimesh.Trimesh, toward: Floats) -> Floats:

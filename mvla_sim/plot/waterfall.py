@@ -48,12 +48,7 @@ def plot_waterfall(
         Lower end of the colour scale relative to the largest value, dB; by default the median of the profiles in whole
         tens of dB, from −60 to −20.
     ax
-        Where to draw the profiles, with the peaks over them; by default in a new figure.
-
-    Returns
-    -------
-    Figure or Axes
-        The new figure, or ``ax``.
+        Where to draw the profiles, with the peaks over them; by default in a new figure. It is returned.
 
     Raises
     ------

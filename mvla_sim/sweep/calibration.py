@@ -107,21 +107,11 @@ def _mean(tables: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Thresholds by the values of the columns that are kept apart.
+    """Thresholds by the values of the columns that are kept apart."""
 
-    Attributes
-    ----------
-    source
-        Folder of the experiment they come from.
-    by
-        The columns.
-    found
-        The thresholds of each combination of their values.
-    """
-
-    source: Path
-    by: tuple[str, ...]
-    found: Mapping[tuple[str | None, ...], GivenThresholds]
+    source: Path  # folder of the experiment they come from
+    by: tuple[str, ...]  # the columns
+    found: Mapping[tuple[str | None, ...], GivenThresholds]  # the thresholds of each combination of their values
 
     @classmethod
     def load(cls, settings: CalibrationSettings, folder: Path) -> Calibration:

@@ -29,54 +29,26 @@ LONGEST_LIST: Final = 3
 
 @dataclass(frozen=True)
 class Case:
-    """One point of a sweep.
+    """One point of a sweep, with its complete, validated settings."""
 
-    Attributes
-    ----------
-    number
-        Place in the plan, from 0.
-    scene, imaging, evaluation
-        Complete, validated settings; scene is None where the channel is that of a file.
-    channel
-        Key of the channel's :class:`~mvla_sim.sweep.sources.Source`; cases of one channel share it.
-    key
-        What identifies the case wherever and whenever it is planned; see :func:`case_key`.
-    values
-        Scene name and the axis values of this case.
-    """
-
-    number: int
-    scene: SceneSettings | None
+    number: int  # place in the plan, from 0
+    scene: SceneSettings | None  # None where the channel is that of a file
     imaging: ImagingSettings
     evaluation: EvaluationSettings
-    channel: str
-    key: str
-    values: Mapping[str, AxisValue] = field(default_factory=dict)
+    channel: str  # key of the channel's `Source`; cases of one channel share it
+    key: str  # what identifies the case wherever and whenever it is planned; see `case_key`
+    values: Mapping[str, AxisValue] = field(default_factory=dict)  # scene name and the axis values of this case
 
 
 @dataclass(frozen=True)
 class Row:
-    """What came of a case.
+    """What came of a case."""
 
-    Attributes
-    ----------
-    key
-        The case's key.
-    status
-        ``done`` or ``failed``.
-    error
-        Why it failed, in one line; empty where it did not.
-    seconds
-        Time it took, with what it had to prepare for itself and the cases after it, seconds.
-    metrics
-        Number of views, thresholds and scores by column.
-    """
-
-    key: str
+    key: str  # of the case
     status: Literal["done", "failed"]
-    error: str = ""
-    seconds: float = 0.0
-    metrics: Mapping[str, Any] = field(default_factory=dict)
+    error: str = ""  # why it failed, in one line; empty where it did not
+    seconds: float = 0.0  # time it took, with what it had to prepare for itself and the cases after it, seconds
+    metrics: Mapping[str, Any] = field(default_factory=dict)  # number of views, thresholds and scores by column
 
 
 def case_key(channel: str, imaging: ImagingSettings, evaluation: EvaluationSettings) -> str:

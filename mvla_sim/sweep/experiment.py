@@ -17,15 +17,9 @@ from mvla_sim.settings import Settings, apply_overrides, parse, read_toml, resol
 from mvla_sim.shipped import find
 
 __all__ = [
-    "ALL",
-    "OFFSET",
-    "AxisValue",
-    "CalibrationSettings",
-    "ExperimentSettings",
-    "VariantSettings",
-    "dotted_key",
+    "ALL", "OFFSET", "AxisValue", "CalibrationSettings", "ExperimentSettings", "VariantSettings", "dotted_key",
     "load_experiment",
-]
+]  # fmt: skip
 
 AxisValue = bool | int | float | str | None
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w-]*$")]

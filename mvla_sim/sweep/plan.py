@@ -31,24 +31,12 @@ Values = Mapping[str, AxisValue]
 
 @dataclass(frozen=True)
 class Plan:
-    """The cases of an experiment.
-
-    Attributes
-    ----------
-    experiment
-        The experiment's settings.
-    cases
-        All cases, by number.
-    sources
-        Where each channel that the cases use comes from, by its key.
-    files
-        Settings of each scene file, by the scene's name, before any axis.
-    """
+    """The cases of an experiment."""
 
     experiment: ExperimentSettings
-    cases: tuple[Case, ...]
-    sources: Mapping[str, Source]
-    files: Mapping[str, SceneSettings]
+    cases: tuple[Case, ...]  # by number
+    sources: Mapping[str, Source]  # where each channel that the cases use comes from, by its key
+    files: Mapping[str, SceneSettings]  # settings of each scene file, by the scene's name, before any axis
 
     @property
     def names(self) -> tuple[str, ...]:

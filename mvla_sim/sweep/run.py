@@ -54,21 +54,11 @@ class RunInterruptedError(MvlaError):
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """What a run leaves.
+    """What a run leaves."""
 
-    Attributes
-    ----------
-    table
-        One row a case; see :func:`mvla_sim.sweep.table.build_table`.
-    files
-        The tables written.
-    notes
-        What to know beside failed cases: workers that died, CIRs that had to be traced again, cases of older code.
-    """
-
-    table: pd.DataFrame
-    files: tuple[Path, ...]
-    notes: tuple[str, ...]
+    table: pd.DataFrame  # one row a case; see `build_table`
+    files: tuple[Path, ...]  # the tables written
+    notes: tuple[str, ...]  # beside failed cases: workers that died, CIRs traced again, cases of older code
 
     def __repr__(self) -> str:
         """One line: how many cases are done."""

@@ -38,21 +38,11 @@ BATCHES_PER_S: Final = 200
 
 @dataclass(frozen=True, eq=False)
 class CaseGroup:
-    """All cases of one channel that share profiles.
+    """All cases of one channel that share profiles."""
 
-    Attributes
-    ----------
-    source
-        Where the channel comes from.
-    wanted
-        How its profiles are made.
-    batches
-        The cases, in pieces for the workers.
-    """
-
-    source: Source
-    wanted: ProfileArguments
-    batches: tuple[tuple[Case, ...], ...]
+    source: Source  # where the channel comes from
+    wanted: ProfileArguments  # how its profiles are made
+    batches: tuple[tuple[Case, ...], ...]  # the cases, in pieces for the workers
 
     @property
     def cases(self) -> tuple[Case, ...]:

@@ -19,30 +19,14 @@ __all__ = ["Source", "file_source", "traced_source"]
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where the channel of some cases comes from.
+    """Where the channel of some cases comes from."""
 
-    Attributes
-    ----------
-    key
-        What identifies the channel's content, and its name in the cache.
-    name
-        What it is called in tables: the scene's name, or the channel file's.
-    views
-        All its views.
-    file
-        The channel file; of a scene that in the cache, which need not be there yet.
-    scene
-        The scene that is traced; None for a channel file.
-    outline
-        The truth of a channel file that carries none; None: its own.
-    """
-
-    key: str
-    name: str
-    views: Views
-    file: Path
-    scene: Scene | None = None
-    outline: Any = None
+    key: str  # what identifies the channel's content, and its name in the cache
+    name: str  # what it is called in tables: the scene's name, or the channel file's
+    views: Views  # all its views
+    file: Path  # the channel file; of a scene that in the cache, which need not be there yet
+    scene: Scene | None = None  # the scene that is traced; None for a channel file
+    outline: Any = None  # the truth of a channel file that carries none; None: its own
 
     def make(self) -> None:
         """Trace the scene, unless that was done. Raises as :func:`simulate`."""

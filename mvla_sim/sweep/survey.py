@@ -24,26 +24,14 @@ class ChannelState:
 
 @dataclass(frozen=True)
 class Survey:
-    """The state of an experiment.
+    """The state of an experiment."""
 
-    Attributes
-    ----------
-    cases, done, failed
-        Numbers of cases in the plan, stored, and stored as failed; failed ones are run again.
-    channels
-        Channels of the cases that would run.
-    seconds
-        Estimated time of a run.
-    measured
-        Whether the estimate rests on cases that ran here, not on a guess.
-    """
-
-    cases: int
-    done: int
-    failed: int
-    channels: tuple[ChannelState, ...]
-    seconds: float
-    measured: bool
+    cases: int  # in the plan
+    done: int  # stored
+    failed: int  # stored as failed; these are run again
+    channels: tuple[ChannelState, ...]  # of the cases that would run
+    seconds: float  # estimated
+    measured: bool  # whether the estimate rests on cases that ran here, not on a guess
 
 
 def survey(plan: Plan, folder: Path, workers: int) -> Survey:

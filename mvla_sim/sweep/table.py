@@ -15,17 +15,9 @@ from mvla_sim.files import atomic_output, existing_file
 from mvla_sim.sweep.case import MAP, Case, Row, setting_columns
 
 __all__ = [
-    "AVERAGED",
-    "FILE",
-    "MAPS",
-    "PARQUET",
-    "RECORD",
-    "averaged",
-    "build_table",
-    "load_maps",
-    "load_table",
+    "AVERAGED", "FILE", "MAPS", "PARQUET", "RECORD", "averaged", "build_table", "load_maps", "load_table",
     "write_table",
-]
+]  # fmt: skip
 
 FILE: Final = "table.csv"
 PARQUET: Final = "table.parquet"
