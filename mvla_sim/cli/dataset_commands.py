@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 from rich.table import Table
 
-from mvla_sim.cli.options import CacheUrl, Overrides, Scheduler, Workers, note, say, show, wrote
+from mvla_sim.cli.options import CacheUrl, Overrides, Scheduler, Workers, duration, note, say, show, wrote
 from mvla_sim.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -174,17 +174,11 @@ def _show_forecast(found: BuildForecast, families: int, workers: int) -> None:
     say(f"shards:   {found.shards}; {each}{found.stored} stored, {found.shards - found.stored} to make")
     say(f"size:     about {_size(found.bytes)} ({found.basis})")
     where = f"with {workers} worker{'s' * (workers > 1)}" if workers else "in this process"
-    say(f"time:     about {_time(found.seconds)} {where}")
+    say(f"time:     about {duration(found.seconds)} {where}")
 
 
 def _size(count: float) -> str:
     return f"{count / 2**30:.1f} GiB" if count >= 2**30 else f"{count / 2**20:.1f} MiB"
-
-
-def _time(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def _leaderboard(table: pd.DataFrame, title: str) -> Table:

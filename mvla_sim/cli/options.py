@@ -13,8 +13,8 @@ from mvla_sim.errors import ConfigError, MvlaError
 from mvla_sim.files import check_writable
 
 __all__ = [
-    "CacheUrl", "Output", "Overrides", "Scheduler", "Workers", "check_output", "errors", "note", "option_for",
-    "out", "say", "show", "wrote",
+    "CacheUrl", "Output", "Overrides", "Scheduler", "Workers", "check_output", "duration", "errors", "note",
+    "option_for", "out", "say", "show", "wrote",
 ]  # fmt: skip
 
 errors = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
@@ -74,16 +74,15 @@ def show(table: Table) -> None:
     out.print(table, soft_wrap=False, markup=False)
 
 
-def check_output(path: Path, *suffixes: str) -> None:
-    """Refuse an output that cannot be written, before anything is computed.
+def duration(seconds: float) -> str:
+    """About how long: "80 s", "5 min", "2.5 h"."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
-    Raises
-    ------
-    ConfigError
-        The name ends in none of the suffixes.
-    OutputError
-        The file cannot be written.
-    """
+
+def check_output(path: Path, *suffixes: str) -> None:
+    """Refuse an output of another suffix, or that cannot be written, before anything is computed."""
     if path.suffix.lower() not in suffixes:
         raise ConfigError(f"-o {path}: the name must end in {' or '.join(suffixes)}")
     check_writable(path)

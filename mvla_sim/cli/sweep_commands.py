@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 from rich.table import Table
 
-from mvla_sim.cli.options import CacheUrl, Overrides, Scheduler, Workers, note, say, show, wrote
+from mvla_sim.cli.options import CacheUrl, Overrides, Scheduler, Workers, duration, note, say, show, wrote
 
 if TYPE_CHECKING:
     from mvla_sim.sweep.plan import Plan
@@ -127,7 +127,7 @@ def _show_survey(plan: Plan, found: Survey, workers: int) -> None:
         if not channel.cached:
             say(f"          {channel.scene}: {channel.views} views to trace")
     basis = "from the time of stored cases" if found.measured else "a guess: nothing was measured yet"
-    say(f"time:     about {_duration(found.seconds)} with {workers} workers ({basis})")
+    say(f"time:     about {duration(found.seconds)} with {workers} workers ({basis})")
 
 
 def _show_run(plan: Plan, result: RunResult, pictures: Sequence[Path]) -> int:
@@ -167,9 +167,3 @@ def _show_table(plan: Plan, result: RunResult) -> None:
 
 def _text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

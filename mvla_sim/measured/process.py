@@ -237,11 +237,8 @@ def _measured(settings: MeasurementSettings, source: ImportSettings, folder: Pat
     angles = scene.settings.trajectory.angles_in_names(scene.views, f"{settings.scene}: trajectory")
     write_sweeps(campaign, sweeps, scene.name, angles)
     chosen = source.sweeps
-    update: dict[str, Any] = {}
-    if chosen.background is not None:
-        update["background"] = chosen.background.model_copy(update={"file": str(sweeps / chosen.background.file)})
-    if chosen.reference is not None:
-        update["reference"] = chosen.reference.model_copy(update={"file": str(sweeps / chosen.reference.file)})
+    made = {name: part for name in ("background", "reference") if (part := getattr(chosen, name)) is not None}
+    update = {name: part.model_copy(update={"file": str(sweeps / part.file)}) for name, part in made.items()}
     return source.model_copy(update={"source": str(sweeps), "sweeps": chosen.model_copy(update=update)})
 
 
@@ -253,13 +250,8 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
 
 
 def _plain(box: Box) -> dict[str, Any]:
-    return {
-        "length_m": box.length_m,
-        "width_m": box.width_m,
-        "aspect": box.aspect,
-        "orientation_deg": box.orientation_deg,
-        "center_m": list(box.center_m),
-    }
+    named = {name: getattr(box, name) for name in ("length_m", "width_m", "aspect", "orientation_deg")}
+    return {**named, "center_m": list(box.center_m)}
 
 
 def _finite(value: Any) -> Any:

@@ -21,26 +21,9 @@ RESULT = "result.json"
 
 
 def write_processed(done: Processed, settings: ProcessSettings, folder: Path) -> list[Path]:
-    """Write ``channel.nc``, ``image.nc``, pictures, the exports asked for and ``result.json`` into a folder.
+    """Write ``channel.nc``, ``image.nc``, pictures, the exports asked for and ``result.json``; return these files.
 
-    Parameters
-    ----------
-    done
-        From :func:`mvla_sim.measured.process.process`.
-    settings
-        Those it was made with.
-    folder
-        It must exist.
-
-    Returns
-    -------
-    list
-        The files written.
-
-    Raises
-    ------
-    OutputError
-        One cannot be written.
+    ``settings`` are those it was made with. The folder must exist; raises OutputError where a file cannot be written.
     """
     done.channel.save(folder / "channel.nc")
     done.image.save(folder / "image.nc")
@@ -54,9 +37,8 @@ def write_processed(done: Processed, settings: ProcessSettings, folder: Path) ->
 
 def _draw(done: Processed, settings: ProcessSettings, folder: Path) -> list[Path]:
     outline = None if done.truth is None else done.truth.outline
-    pictures = []
     flat = done.image.grid.counts[2] == 1
-    pictures.append(folder / ("image.png" if flat else "volume.png"))
+    pictures = [folder / ("image.png" if flat else "volume.png")]
     if done.occupied is None:
         figure = plot_image(done.image)
     elif flat:

@@ -14,13 +14,7 @@ __all__ = ["write_card"]
 
 
 def write_card(dataset: BenchmarkDataset) -> list[Path]:
-    """Write README.md and the picture of some scenes into a dataset's directory, and return both files.
-
-    Raises
-    ------
-    OutputError
-        One cannot be written.
-    """
+    """Write README.md and the picture of some scenes into a dataset's directory, and return both files."""
     folder = dataset.index.folder
     save_figure(plot_samples([dataset[k] for k in shown_samples(dataset)]), folder / PICTURE)
     with atomic_output(folder / CARD) as temporary:

@@ -32,13 +32,7 @@ __all__ = ["draw", "draw_scene", "draw_waterfall", "truth_of"]
 
 
 def draw(files: Sequence[Path], output: Path, overrides: Sequence[str]) -> None:
-    """Draw one channel file, or image files side by side.
-
-    Raises
-    ------
-    DataError
-        A file is of neither kind, or kinds are mixed.
-    """
+    """Draw one channel file, or image files side by side; DataError for other files, and for kinds that are mixed."""
     kinds = [schema_of(existing_file(file, "channel or image file")) for file in files]
     for file, kind in zip(files, kinds, strict=True):
         if kind not in (*CHANNEL_SCHEMAS, IMAGE_SCHEMA):
@@ -91,13 +85,7 @@ def _binary(image: Image) -> tuple[NDArray[np.bool_], NDArray[np.bool_], str]:
 
 
 def draw_waterfall(channel: Channel, output: Path, settings: ImagingSettings) -> None:
-    """Draw PDPs against the view angle, with the peaks found in them.
-
-    Raises
-    ------
-    DataError
-        The file holds components, which are no profiles.
-    """
+    """Draw PDPs against the view angle, with their peaks; DataError for components, which are no profiles."""
     seen = observe(channel, settings)
     if seen.front.pdp is None:
         raise DataError("this file holds ready-made components and no profiles; make an image of it and draw that")

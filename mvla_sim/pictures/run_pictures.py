@@ -26,26 +26,9 @@ __all__ = ["draw_run"]
 
 
 def draw_run(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
-    """Draw what an experiment shows and, where CD against the interval is all there is, that.
+    """Draw what an experiment shows and, where CD against the interval is all there is, that; return the files.
 
-    Parameters
-    ----------
-    plan
-        From :func:`mvla_sim.sweep.plan.expand`.
-    table
-        From :func:`mvla_sim.sweep.run.run_plan`.
-    folder
-        Where the pictures go; it must exist.
-
-    Returns
-    -------
-    list
-        The files written.
-
-    Raises
-    ------
-    OutputError
-        One cannot be written.
+    The folder must exist; raises OutputError where a file cannot be written.
     """
     return [*_draw_shown(plan, folder), *_draw_curve(plan, table, folder)]
 

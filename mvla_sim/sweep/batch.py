@@ -25,7 +25,7 @@ from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.pipeline import Pipeline, ProfiledChannel, profile_channel
 from mvla_sim.sweep.case import MAP, Case, Row
 
-__all__ = ["Outcome", "load_profiles", "results", "run_batch"]
+__all__ = ["Outcome", "ProfileArguments", "load_profiles", "results", "run_batch"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,28 +37,18 @@ class Outcome:
     evaluation: Evaluation
 
 
-def load_profiles(
-    file: Path,
-    settings: ImagingSettings,
-    only: tuple[int, ...] | None = None,
-    *,
-    with_amplitude: bool = True,
-    outline: Any = None,
-) -> ProfiledChannel:
-    """Read a channel file and run the first stages on it.
+@dataclass(frozen=True)
+class ProfileArguments:
+    """How the profiles of a channel are made."""
 
-    Parameters
-    ----------
-    file
-        A channel file of any kind.
-    settings
-        What decides the profiles: impairments, PDP and grid.
-    only
-        Numbers of the views that are needed, rising; None: all.
-    with_amplitude
-        Keep the complex amplitudes.
-    outline
-        The truth, where the file carries none.
+    settings: ImagingSettings  # impairments, PDP and grid count
+    only: tuple[int, ...] | None = None  # numbers of the views that are needed, rising; None: all
+    with_amplitude: bool = True  # keep the complex amplitudes
+    outline: Any = None  # the truth, where the file carries none
+
+
+def load_profiles(file: Path, wanted: ProfileArguments) -> ProfiledChannel:
+    """Read a channel file of any kind and run the first stages on it.
 
     Raises
     ------
@@ -68,9 +58,9 @@ def load_profiles(
         An impairment or gate does not fit the file.
     """
     stamp = file.stat().st_mtime_ns if file.exists() else 0
-    numbers = None if only is None else np.array(only, np.intp)
-    profiled = profile_channel(_load(file, stamp), settings, numbers, with_amplitude=with_amplitude)
-    return profiled if profiled.outline is not None else replace(profiled, outline=outline)
+    numbers = None if wanted.only is None else np.array(wanted.only, np.intp)
+    profiled = profile_channel(_load(file, stamp), wanted.settings, numbers, with_amplitude=wanted.with_amplitude)
+    return profiled if profiled.outline is not None else replace(profiled, outline=wanted.outline)
 
 
 def run_batch(stages: Pipeline, cases: Sequence[Case]) -> list[Row]:

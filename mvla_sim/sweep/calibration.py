@@ -26,22 +26,11 @@ THRESHOLDS = ["top_percent", "min_support_deg"]
 
 
 def average_thresholds(table: pd.DataFrame, by: Sequence[str], over: Sequence[str]) -> pd.DataFrame:
-    """Average optimal thresholds.
+    """Average optimal thresholds p (per cent) and T_θ (degrees): a row for each combination of the columns ``by``.
 
-    Parameters
-    ----------
-    table
-        One row a case, with ``top_percent`` and ``min_support_deg``.
-    by
-        Columns that are kept apart.
-    over
-        Columns that are averaged over: first all rows of one value of the first of them, then these values. So every
-        interval weighs the same, however many offsets it has. Columns that the table lacks are passed over.
-
-    Returns
-    -------
-    DataFrame
-        One row a combination of ``by``: these columns and the averages of p (per cent) and T_θ (degrees).
+    The table has one row a case, with ``top_percent`` and ``min_support_deg``. Of the columns ``over``, all rows of one
+    value of the first are averaged first, then these values: so every interval weighs the same, however many offsets it
+    has. Columns that the table lacks are passed over.
     """
     first = [name for name in over if name in table.columns][:1]
     if not by:
@@ -54,26 +43,10 @@ def average_thresholds(table: pd.DataFrame, by: Sequence[str], over: Sequence[st
 def least_mean_thresholds(
     table: pd.DataFrame, maps: Mapping[str, str], by: Sequence[str], over: Sequence[str]
 ) -> pd.DataFrame:
-    """Find the candidate pairs (p, T_θ) at which the mean CD in dB is least.
+    """Find the candidate pairs (p, T_θ) at which the mean CD in dB is least; as :func:`average_thresholds` otherwise.
 
-    An empty reconstruction counts as the grid's diagonal; see :mod:`mvla_sim.evaluation.candidates`.
-
-    Parameters
-    ----------
-    table, by, over
-        As in :func:`average_thresholds`; cases are found in ``maps`` by ``key``.
-    maps
-        Packed tables of CD by the keys of their cases.
-
-    Returns
-    -------
-    DataFrame
-        As from :func:`average_thresholds`.
-
-    Raises
-    ------
-    DataError
-        A case has no map, or one that cannot be read.
+    An empty reconstruction counts as the grid's diagonal; see :mod:`mvla_sim.evaluation.candidates`. ``maps`` are
+    packed tables of CD by the keys of their cases; raises DataError where a case has none, or one that cannot be read.
     """
     first = [name for name in over if name in table.columns][:1]
     rows = []
@@ -152,13 +125,7 @@ class Calibration:
         return cls(source, by, found)
 
     def thresholds(self, columns: Mapping[str, Any]) -> GivenThresholds:
-        """Thresholds of a case, by its scene name, axis values and settings.
-
-        Raises
-        ------
-        ConfigError
-            The other experiment has no case of these values.
-        """
+        """Thresholds of a case, by its columns; raises ConfigError where the other experiment has no such case."""
         values = [columns.get(name, columns.get(dotted_key(name) or name)) for name in self.by]
         place = tuple(_normal(value) for value in values)
         if place not in self.found:

@@ -5,20 +5,17 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from mvla_sim.channel.simulate import cache_file, simulate
 from mvla_sim.engine.cache import cache_folder, is_shared, pull, push
 from mvla_sim.errors import DataError, OutputError, reason
-from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.pipeline import Pipeline, ProfiledChannel
 from mvla_sim.scene.world import Scene
-from mvla_sim.sweep.batch import load_profiles, run_batch
+from mvla_sim.sweep.batch import ProfileArguments, load_profiles, run_batch
 from mvla_sim.sweep.case import Case, Row
 
 __all__ = [
-    "Failed", "ProfileArguments", "prepare_here", "prepare_sent", "prepare_shared", "run_cases", "trace_and_send",
-    "trace_and_share",
+    "Failed", "prepare_here", "prepare_sent", "prepare_shared", "run_cases", "trace_and_send", "trace_and_share",
 ]  # fmt: skip
 
 
@@ -28,16 +25,6 @@ class Failed:
 
     error: str
     damaged: bool
-
-
-@dataclass(frozen=True)
-class ProfileArguments:
-    """Arguments of :func:`~mvla_sim.sweep.batch.load_profiles` beside the file."""
-
-    settings: ImagingSettings
-    only: tuple[int, ...] | None = None
-    with_amplitude: bool = True
-    outline: Any = None
 
 
 def trace_and_send(scene: Scene) -> bytes:
@@ -61,9 +48,7 @@ def trace_and_share(scene: Scene) -> None:
 def prepare_here(file: Path, wanted: ProfileArguments) -> ProfiledChannel | Failed:
     """Compute profiles of a channel file of this machine; see :func:`~mvla_sim.sweep.batch.load_profiles`."""
     try:
-        return load_profiles(
-            file, wanted.settings, wanted.only, with_amplitude=wanted.with_amplitude, outline=wanted.outline
-        )
+        return load_profiles(file, wanted)
     except Exception as error:  # noqa: BLE001 - becomes the error of every case that needs it
         return Failed(reason(error), isinstance(error, DataError) and str(file) in str(error))
 

@@ -47,14 +47,7 @@ class Plan:
 def expand(experiment: ExperimentSettings, folder: Path | None = None, limit: int | None = CASE_LIMIT) -> Plan:
     """Return the product of scenes and axes, in the order of the file, every case validated.
 
-    Parameters
-    ----------
-    experiment
-        The experiment.
-    folder
-        The folder its results go to; experiments that calibrate with another one's table look beside it.
-    limit
-        Largest number of cases; None for any.
+    Experiments that calibrate with another one's table look beside ``folder``, where the results go.
 
     Raises
     ------
@@ -66,9 +59,7 @@ def expand(experiment: ExperimentSettings, folder: Path | None = None, limit: in
     """
     if experiment.variants:
         return _expand_variants(experiment, folder, limit)
-    least = (len(experiment.scenes) + len(experiment.channels)) * math.prod(
-        len(values) for values in experiment.axes.values()
-    )
+    least = (len(experiment.scenes) + len(experiment.channels)) * math.prod(map(len, experiment.axes.values()))
     _check_limit(experiment, least, "at least ", limit)
     builder = _Builder(experiment)
     points = list(itertools.islice(builder.points(), limit))
@@ -149,12 +140,11 @@ class _Builder:
             for combination in itertools.product(*axes.values()):
                 values = dict(zip(axes, combination, strict=True))
                 channel = self.channel(name, values)
-                views = self._imaging(values).views
+                stride = self._stride(channel, self._imaging(values).views)
                 if not self.all_offsets:
-                    self._stride(channel, views)
                     yield name, channel, values
                     continue
-                for offset in range(self._stride(channel, views)):
+                for offset in range(stride):
                     yield name, channel, values | {str(self.offset): offset}
 
     def channel(self, name: str, values: Values) -> str:
@@ -192,8 +182,7 @@ class _Builder:
         if calibration is not None:
             thresholds = calibration.thresholds(setting_columns(case))
             evaluation = evaluation.model_copy(update={"threshold": thresholds})
-        key = case_key(channel, imaging, evaluation)
-        return Case(number, scene, imaging, evaluation, channel, key, case.values)
+        return replace(case, evaluation=evaluation, key=case_key(channel, imaging, evaluation))
 
     def _imaging(self, values: Values) -> ImagingSettings:
         """Imaging settings at these axis values, at offset 0 where offsets are 'all'."""

@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,18 +23,10 @@ from mvla_sim.files import atomic_output
 from mvla_sim.imaging.pipeline import Pipeline
 from mvla_sim.interrupt import interruptible
 from mvla_sim.progress import Advance, progress
+from mvla_sim.sweep import jobs
 from mvla_sim.sweep.batch import Outcome, load_profiles, results
 from mvla_sim.sweep.case import Case, Row
 from mvla_sim.sweep.experiment import ExperimentSettings
-from mvla_sim.sweep.jobs import (
-    Failed,
-    prepare_here,
-    prepare_sent,
-    prepare_shared,
-    run_cases,
-    trace_and_send,
-    trace_and_share,
-)
 from mvla_sim.sweep.plan import Plan, expand
 from mvla_sim.sweep.schedule import CaseGroup, groups_of
 from mvla_sim.sweep.store import Store, identity
@@ -103,26 +95,16 @@ def run_experiment(
 def run_plan(
     plan: Plan, folder: Path, *, workers: int | None = None, cluster: Cluster | None = None, fresh: bool = False
 ) -> RunResult:
-    """Run what is missing of a plan. Parameters and errors as :func:`run_experiment`.
+    """Run what is missing of a plan; parameters and errors as :func:`run_experiment`.
 
-    Parameters
-    ----------
-    plan
-        From :func:`mvla_sim.sweep.plan.expand`.
-    folder
-        Where store and tables are kept.
-    workers
-        Number of processes.
-    cluster
-        Runs the cases instead of so many workers; it stays open.
-    fresh
-        Discard what is stored.
+    A ``cluster`` runs the cases instead of so many workers, and stays open. ``fresh``: discard what is stored.
     """
     with Store.open(folder, identity(plan), fresh=fresh) as store:
         missing = missing_cases(plan, store.rows())
         runner = _Runner(plan, store)
         try:
-            with interruptible(), _given_or_own(cluster, workers) as chosen:
+            own = open_cluster(workers) if cluster is None else contextlib.nullcontext(cluster)
+            with interruptible(), own as chosen:
                 if missing:
                     runner.run(missing, chosen)
         except BaseException as error:
@@ -142,10 +124,6 @@ def run_plan(
     return RunResult(table, tuple(files), (*store.notes, *runner.notes))
 
 
-def _given_or_own(cluster: Cluster | None, workers: int | None) -> contextlib.AbstractContextManager[Cluster]:
-    return open_cluster(workers) if cluster is None else contextlib.nullcontext(cluster)
-
-
 def missing_cases(plan: Plan, rows: dict[str, Row]) -> list[Case]:
     """Cases that are not stored, or failed before and are tried again; each key once."""
     wanted = {
@@ -159,14 +137,8 @@ def images_of(plan: Plan, cases: Sequence[Case]) -> Iterator[Outcome]:
     found: dict[int, Outcome] = {}
     for group in groups_of(plan, cases, 1):
         group.source.make()
-        profiles = load_profiles(
-            group.source.file,
-            group.wanted.settings,
-            group.wanted.only,
-            with_amplitude=group.wanted.with_amplitude,
-            outline=group.wanted.outline,
-        )
-        outcomes = [outcome for _, outcome in results(Pipeline(profiles), group.cases) if outcome is not None]
+        stages = Pipeline(load_profiles(group.source.file, group.wanted))
+        outcomes = [outcome for _, outcome in results(stages, group.cases) if outcome is not None]
         found |= {outcome.case.number: outcome for outcome in outcomes}
     yield from (found[case.number] for case in cases if case.number in found)
 
@@ -205,7 +177,7 @@ class _Runner:
             while pieces:
                 again: list[_Piece] = []
                 for index, finished in cluster.run(
-                    run_cases, self._arguments(pieces, cluster), label="cases", idle=self.store.flush_if_due
+                    jobs.run_cases, self._arguments(pieces, cluster), label="cases", idle=self.store.flush_if_due
                 ):
                     again += self._take(pieces[index], finished, advance)
                     self._check_deaths(cluster.deaths - died_before)
@@ -238,7 +210,7 @@ class _Runner:
             elif not source.file.exists():
                 missing.append(key)
         broken: dict[str, str] = {}
-        trace = trace_and_share if shared else trace_and_send
+        trace = jobs.trace_and_share if shared else jobs.trace_and_send
         with progress("tracing", len(missing), "scenes") as done:
             tasks = ((traced[key].scene,) for key in missing)
             for index, finished in cluster.run(trace, tasks, label="trace"):
@@ -264,10 +236,10 @@ class _Runner:
         group = self._groups[number]
         file = group.source.file
         if not cluster.remote:
-            return cluster.share(prepare_here, file, group.wanted)
+            return cluster.share(jobs.prepare_here, file, group.wanted)
         if cache_url() is not None and group.source.scene is not None:
-            return cluster.share(prepare_shared, file.name, group.wanted)
-        return cluster.share(prepare_sent, file.read_bytes(), group.wanted)
+            return cluster.share(jobs.prepare_shared, file.name, group.wanted)
+        return cluster.share(jobs.prepare_sent, file.read_bytes(), group.wanted)
 
     def _take(self, piece: _Piece, finished: Finished, advance: Advance) -> list[_Piece]:
         """Keep what came of a piece, and return what of it must be run again."""
@@ -281,9 +253,8 @@ class _Runner:
             return [_Piece(piece.number, (case,), piece.edition) for case in piece.cases]
         if finished.error:
             self._fail(piece.cases, finished.reason, advance)
-        elif not isinstance(value, Failed):
-            for row in value:
-                self._keep(row, advance)
+        elif not isinstance(value, jobs.Failed):
+            self._keep(value, advance)
         elif value.damaged and (edition := self._retraced(piece, advance)) is not None:
             return [_Piece(piece.number, piece.cases, edition)]
         elif not value.damaged or piece.edition or group.source.scene is None:
@@ -309,13 +280,13 @@ class _Runner:
                 setting="workers",
             )
 
-    def _keep(self, row: Row, advance: Advance) -> None:
-        self.store.add(row)
-        advance(1)
+    def _keep(self, rows: Iterable[Row], advance: Advance) -> None:
+        for row in rows:
+            self.store.add(row)
+            advance(1)
 
     def _fail(self, cases: Sequence[Case], error: str, advance: Advance) -> None:
-        for case in cases:
-            self._keep(Row(case.key, "failed", error), advance)
+        self._keep((Row(case.key, "failed", error) for case in cases), advance)
 
 
 def _times(count: int) -> str:

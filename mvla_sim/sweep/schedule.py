@@ -11,8 +11,8 @@ import numpy as np
 from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.pipeline import profile_key, views_needed
 from mvla_sim.scene.views import Views
+from mvla_sim.sweep.batch import ProfileArguments
 from mvla_sim.sweep.case import Case
-from mvla_sim.sweep.jobs import ProfileArguments
 from mvla_sim.sweep.plan import Plan
 from mvla_sim.sweep.sources import Source
 

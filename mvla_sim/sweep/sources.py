@@ -41,14 +41,7 @@ def traced_source(scene: Scene) -> Source:
 
 
 def file_source(path: str | os.PathLike[str], outline: Any = None) -> Source:
-    """The channel in a file, of any kind that imaging takes.
-
-    Parameters
-    ----------
-    path
-        A file of ``mvla import`` or ``mvla simulate``.
-    outline
-        Truth where the file has none.
+    """The channel in a file, of any kind that imaging takes; ``outline`` is the truth where the file has none.
 
     Raises
     ------

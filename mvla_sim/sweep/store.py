@@ -73,16 +73,7 @@ class Store:
     @classmethod
     @contextlib.contextmanager
     def open(cls, folder: Path, wanted: Identity, *, fresh: bool = False) -> Iterator[Store]:
-        """Lock a folder and open the store in it, made if it is not there.
-
-        Parameters
-        ----------
-        folder
-            The experiment's folder.
-        wanted
-            From :func:`identity`.
-        fresh
-            Delete what is stored and begin anew.
+        """Lock a folder and open the store in it, made if it is not there; ``fresh``: delete what is stored before.
 
         Raises
         ------
@@ -113,9 +104,7 @@ class Store:
             return {}
         store = cls(file)
         try:
-            if store._check(wanted) is None:
-                return {}
-            return store.rows()
+            return {} if store._check(wanted) is None else store.rows()
         finally:
             store._close()
 
@@ -131,10 +120,7 @@ class Store:
     def add(self, row: Row) -> None:
         """Keep a case in place of what is stored under its key; on disk within half a second.
 
-        Raises
-        ------
-        OutputError
-            The disk is full or the file cannot be written; what was stored before stays.
+        Raises OutputError where the disk is full or the file cannot be written; what was stored before stays.
         """
         values = (row.key, row.status, row.error, row.seconds, json.dumps(dict(row.metrics)))
         with self._explained():

@@ -220,7 +220,7 @@ def test_a_worker_killed_in_mid_sweep_costs_nothing(undisturbed, local, tmp_path
 def test_a_case_that_kills_its_workers_fails_alone(undisturbed, tmp_path, monkeypatch):
     plan, expected = undisturbed
     monkeypatch.setattr(module, "MOST_DEATHS", 1)  # a worker takes seconds to come back
-    monkeypatch.setattr(run_module, "run_cases", tasks.run_cases_or_die)
+    monkeypatch.setattr(run_module.jobs, "run_cases", tasks.run_cases_or_die)
     monkeypatch.setenv(tasks.POISON, plan.cases[9].key)
     result = run_plan(plan, tmp_path / "out", workers=1)
     assert list(result.table.loc[result.table["status"] == "failed", "case"]) == [9]
@@ -234,7 +234,7 @@ def test_workers_that_keep_dying_end_the_run(tmp_path, monkeypatch):
     plan = expand(experiment(tmp_path, AXES))
     monkeypatch.setattr(module, "MOST_DEATHS", 1)
     monkeypatch.setattr(run_module, "MOST_DEATHS", 2)
-    monkeypatch.setattr(run_module, "run_cases", tasks.run_cases_or_die)
+    monkeypatch.setattr(run_module.jobs, "run_cases", tasks.run_cases_or_die)
     monkeypatch.setenv(tasks.POISON, plan.cases[0].key)
     with pytest.raises(RuntimeUnfitError, match="Is there enough memory"):
         run_plan(plan, tmp_path / "out", workers=1)

@@ -96,7 +96,7 @@ def test_the_prepared_channel_knows_both_kinds_of_positions(tmp_path):
     plan = expand(experiment(tmp_path, 'seed = [0]\n"imaging.impairments.position_error_m" = [0.0, 0.05]\n'))
     for task in groups_of(plan, plan.cases, 1):
         task.source.make()
-        channel = load_profiles(task.source.file, task.wanted.settings)
+        channel = load_profiles(task.source.file, task.wanted)
         moved = abs(channel.views.positions_m - channel.true_views.positions_m).max() > 0
         assert moved == (task.cases[0].imaging.impairments.position_error_m > 0)
         assert [row.status for row in run_batch(Pipeline(channel), task.cases)] == ["done"]

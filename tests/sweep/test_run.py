@@ -118,7 +118,7 @@ def test_a_run_does_only_what_is_missing(finished, tmp_path):
 
 def test_a_finished_run_starts_no_worker(finished, monkeypatch):
     plan, folder, table = finished
-    monkeypatch.setattr(module, "run_cases", None)
+    monkeypatch.setattr(module.jobs, "run_cases", None)
     monkeypatch.setattr("mvla_sim.sweep.sources.simulate", None)
     pd.testing.assert_frame_equal(run_plan(plan, folder).table, table)
 
