@@ -105,11 +105,7 @@ def automatic_cost(optimal: pd.DataFrame, automatic: pd.DataFrame) -> pd.DataFra
     Both tables have ``scene``, ``method``, ``cd_db`` and what they have of :data:`AXES`; cases that lack a CD in one of
     them are left out. Returned are a row a method, by its mean; a column a scene, and ``mean``, NaN where a scene is
     missing.
-
-    Raises
-    ------
-    DataError
-        A column is missing, cases cannot be told apart, or the tables have no finished case in common.
+    Raises DataError: a column is missing, cases cannot be told apart, or the tables have no finished case in common.
     """
     axes = [name for name in AXES if name in optimal and name in automatic]
     keys = ["scene", "method", *axes]

@@ -102,10 +102,7 @@ def table_html(table: pd.DataFrame, caption: str = "", digits: int = 4, *, stack
 def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -> Path:
     """Write the page; pictures are part of it, and it needs no script and no other file.
 
-    Raises
-    ------
-    OutputError
-        The page cannot be written.
+    Raises OutputError: the page cannot be written.
     """
     body = "\n".join(_section(section) for section in sections)
     page = (

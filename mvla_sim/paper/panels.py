@@ -143,10 +143,7 @@ def plot_examples(
 ) -> Figure | Given:  # fmt: skip
     """Draw binary reconstructions over the ground truth, ``columns`` a row.
 
-    Raises
-    ------
-    DataError
-        There is no image, or the lists are not equally long.
+    Raises DataError: there is no image, or the lists are not equally long.
     """
     if not images or len({len(images), len(truths), len(occupied), len(labels)}) > 1:
         raise DataError("examples: images, truths, binary images and labels must be equally many, at least 1")

@@ -149,13 +149,7 @@ def draw_score(axes: Axes, image: Image, layer: int, *, bar_below: bool, inset: 
 
 
 def draw_support(axes: Axes, image: Image, layer: int, *, bar_below: bool, inset: bool = True) -> None:
-    """Draw one layer of the angular support, with a colour bar.
-
-    Raises
-    ------
-    DataError
-        The image has none.
-    """
+    """Draw one layer of the angular support, with a colour bar. Raises DataError: the image has none."""
     if image.support_deg is None:
         raise DataError(f"picture: an image of method {image.method} has no angular support")
     values = image.support_deg[layer]

@@ -90,10 +90,7 @@ class Calibration:
     def load(cls, settings: CalibrationSettings, folder: Path) -> Calibration:
         """Read the table of the other experiment, which lies beside ``folder``, and choose thresholds by the rule.
 
-        Raises
-        ------
-        DataError
-            The table is missing, not complete, or not one of optimal thresholds.
+        Raises DataError: the table is missing, not complete, or not one of optimal thresholds.
         """
         source = folder.parent / settings.source
         table, axes = load_table(source), _axes(source)

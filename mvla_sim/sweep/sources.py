@@ -43,10 +43,7 @@ def traced_source(scene: Scene) -> Source:
 def file_source(path: str | os.PathLike[str], outline: Any = None) -> Source:
     """The channel in a file, of any kind that imaging takes; ``outline`` is the truth where the file has none.
 
-    Raises
-    ------
-    DataError
-        No readable channel file; or it carries no outline and none is given.
+    Raises DataError: no readable channel file; or it carries no outline and none is given.
     """
     file = Path(path)
     channel = load_channel(file)

@@ -37,10 +37,7 @@ class Survey:
 def survey(plan: Plan, folder: Path, workers: int) -> Survey:
     """Look at a plan, at what a folder holds of it and at the cache.
 
-    Raises
-    ------
-    DataError
-        The folder's store does not fit the plan, or is damaged.
+    Raises DataError: the folder's store does not fit the plan, or is damaged.
     """
     rows = Store.peek(folder, identity(plan))
     missing = missing_cases(plan, rows)

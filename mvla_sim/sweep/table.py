@@ -58,10 +58,7 @@ def build_table(cases: Sequence[Case], rows: Mapping[str, Row]) -> pd.DataFrame:
 def write_table(table: pd.DataFrame, folder: Path) -> list[Path]:
     """Write ``table.csv``, ``table.parquet`` and, where there are maps, ``maps.parquet``; return what was written.
 
-    Raises
-    ------
-    OutputError
-        The folder cannot be written.
+    Raises OutputError: the folder cannot be written.
     """
     csv, parquet, maps = (folder / name for name in (FILE, PARQUET, MAPS))
     files = [csv, parquet]
@@ -83,10 +80,7 @@ def write_table(table: pd.DataFrame, folder: Path) -> list[Path]:
 def load_maps(folder: str | os.PathLike[str]) -> dict[str, str]:
     """Packed maps of thresholds by the keys of their cases, from an experiment's folder.
 
-    Raises
-    ------
-    DataError
-        There are none, or the file cannot be read.
+    Raises DataError: there are none, or the file cannot be read.
     """
     file = Path(folder) / MAPS
     if not file.exists():
@@ -103,10 +97,7 @@ def load_maps(folder: str | os.PathLike[str]) -> dict[str, str]:
 def load_table(folder: str | os.PathLike[str]) -> pd.DataFrame:
     """Read the table of an experiment from its folder: ``table.csv`` or, where that is missing, ``table.parquet``.
 
-    Raises
-    ------
-    DataError
-        There is none, or it is no table of a sweep.
+    Raises DataError: there is none, or it is no table of a sweep.
     """
     csv, parquet = Path(folder) / FILE, Path(folder) / PARQUET
     file = existing_file(parquet if parquet.exists() and not csv.exists() else csv, WHAT)
