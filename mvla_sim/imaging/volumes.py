@@ -42,19 +42,9 @@ class Surface:
 
 
 def exposed_faces(occupied: NDArray[np.bool_], grid: VoxelGrid) -> Surface:
-    """Surface of the occupied voxels.
+    """Surface of the voxels of a binary image ``[nz, ny, nx]``; the grid's border hides no face.
 
-    Parameters
-    ----------
-    occupied
-        Binary image ``[nz, ny, nx]`` bool; without a voxel the surface has no face.
-    grid
-        The voxel grid. Its border hides no face.
-
-    Raises
-    ------
-    DataError
-        The mask has another shape than the grid.
+    Raises DataError where the image has another shape than the grid.
     """
     if occupied.shape != grid.shape:
         raise DataError(f"surface: occupied has shape {occupied.shape}, the grid {grid.shape}")
@@ -128,13 +118,7 @@ def export_image(image: Image, path: str | os.PathLike[str]) -> Path:
 
 def _neighbour(mask: NDArray[np.bool_], axis: int, *, up: bool) -> NDArray[np.bool_]:
     """Whether the next voxel up or down an axis is occupied, ``[nz, ny, nx]``; False beyond the grid."""
-    shifted = np.zeros_like(mask)
-    here, there = [slice(None)] * 3, [slice(None)] * 3
-    here[axis], there[axis] = slice(None, -1), slice(1, None)
-    if not up:
-        here, there = there, here
-    shifted[tuple(here)] = mask[tuple(there)]
-    return shifted
+    return np.roll(np.pad(mask, 1), -1 if up else 1, axis)[1:-1, 1:-1, 1:-1]
 
 
 def _vtk(image: Image) -> bytes:

@@ -1,4 +1,7 @@
-"""Figures of the paper's experiments: parameter maps, CD against the interval per SNR, examples, sensitivity."""
+"""Figures of the paper's experiments: parameter maps, CD against the interval per SNR, examples, sensitivity.
+
+``title``, ``figure`` and ``ax`` are as in :mod:`mvla_sim.plot`.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +41,6 @@ def plot_parameter_maps(table: pd.DataFrame, only: str | None = None, *, figure:
         not finite are left out; a cell that lacks a scene has no average and stays blank.
     only
         Name of a scene, or "average": that map alone, on the colours of all, with its values written into it.
-    figure
-        Where to draw; by default a new one. It is returned.
 
     Raises
     ------
@@ -95,12 +96,8 @@ def plot_cd_panels(
     ----------
     table
         Columns ``snr_db``, ``interval_deg``, ``method``, ``cd_db`` (dB(m²)); values that are not finite are left out.
-    title
-        Title of the figure.
     only
         Draw the panel of this SNR in dB alone, wider, on the axes of all.
-    figure
-        Where to draw; by default a new one. It is returned.
 
     Raises
     ------
@@ -170,15 +167,7 @@ def plot_examples(
 
 
 def plot_verdicts(verdicts: pd.DataFrame, *, ax: Panel | None = None) -> Figure | Panel:
-    """Draw a matrix of verdicts: a row a variant, a column a claim.
-
-    Parameters
-    ----------
-    verdicts
-        Index: variants; columns: claims; values ``holds``, ``does not hold`` or ``not tested``.
-    ax
-        Where to draw; by default in a new figure.
-    """
+    """Draw a matrix of verdicts, ``holds``, ``does not hold`` or ``not tested``: a row a variant, a column a claim."""
     order = list(VERDICTS)
     codes = verdicts.map(order.index).to_numpy()
     colors = ListedColormap([style.COLORS["sky"], style.COLORS["orange"], "#EEEEEE"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,13 +40,9 @@ QUICK_OVERRIDES: Final = dict.fromkeys(("kappa-eta", "star-optimal", "star-calib
 class RunStep:
     """An experiment that is finished: its plan, what its run left, and its pictures."""
 
-    plan: Plan
+    plan: Plan = field(repr=False)
     result: RunResult
-    pictures: list[Path]
-
-    def __repr__(self) -> str:
-        """One line: the experiment, and how many of its cases are done."""
-        return f"RunStep({self.plan.experiment.name}: {self.result!r})"
+    pictures: list[Path] = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +51,7 @@ class MeasurementStep:
 
     name: str
     done: Processed
-    files: list[Path]
-
-    def __repr__(self) -> str:
-        """One line: the measurement, and what came of it."""
-        return f"MeasurementStep({self.name}: {self.done!r})"
+    files: list[Path] = field(repr=False)
 
 
 def reproduce(
@@ -67,26 +59,9 @@ def reproduce(
 ) -> Iterator[RunStep | MeasurementStep | Path]:
     """Run the experiments, the checks, and build the report from what they stored; yield each when it is finished.
 
-    Parameters
-    ----------
-    experiments
-        Folder with the experiment files; None for those of this package.
-    folder
-        Folder of the results; one sub-folder an experiment.
-    cluster
-        What runs the cases.
-    quick
-        One noise seed, and no sensitivity study.
-
-    Yields
-    ------
-    RunStep, MeasurementStep or Path
-        What is finished; last the report's file.
-
-    Raises
-    ------
-    DataError
-        An experiment file is missing; nothing has run by then.
+    ``experiments`` is the folder with their files, None for those of this package. ``folder`` gets one for each, and
+    last the report is yielded. ``quick``: one noise seed, no sensitivity study. Raises DataError where an
+    experiment file is missing; nothing has run by then.
     """
     experiments = experiments or shipped_folder("experiments")
     names = [name for name in EXPERIMENTS if not (quick and name in QUICK_SKIPS)]

@@ -121,13 +121,11 @@ def robustness_curves(table: pd.DataFrame, *, scene: str | None = None, f1: str 
     Parameters
     ----------
     table
-        Columns ``method`` or ``imaging.method``, ``cd_db`` (dB(m²)), F1, and the settings ``imaging.impairments.…``; an
-        absent or empty one is at its default. Cases that are not done, or have no finite CD, are left out. Averaged
-        over anything else, as over seeds.
+        Columns ``method`` or ``imaging.method``, ``cd_db`` (dB(m²)), that of F1, which ``f1`` names, and the settings
+        ``imaging.impairments.…``; an absent or empty one is at its default. Cases that are not done, or have no finite
+        CD, are left out. Averaged over anything else, as over seeds.
     scene
         Which scene; needed where the table has several.
-    f1
-        Column of F1.
 
     Returns
     -------

@@ -180,7 +180,12 @@ class _Runner:
                     jobs.run_cases, self._arguments(pieces, cluster), label="cases", idle=self.store.flush_if_due
                 ):
                     again += self._take(pieces[index], finished, advance)
-                    self._check_deaths(cluster.deaths - died_before)
+                    if (deaths := cluster.deaths - died_before) >= MOST_DEATHS:
+                        raise RuntimeUnfitError(
+                            f"workers died {deaths} times in the middle of their cases; what is finished is stored. Is "
+                            f"there enough memory? Try workers = 1",
+                            setting="workers",
+                        )
                 pieces = again
 
     def _traced(self, group: CaseGroup, advance: Advance) -> bool:
@@ -245,8 +250,9 @@ class _Runner:
         """Keep what came of a piece, and return what of it must be run again."""
         group = self._groups[piece.number]
         if finished.deaths:
+            times = "once" if finished.deaths == 1 else f"{finished.deaths} times"
             which = f"case {piece.cases[0].number}" if len(piece.cases) == 1 else f"{len(piece.cases)} cases"
-            self.notes.append(f"a worker died {_times(finished.deaths)} while it ran {which} of {group.source.name}")
+            self.notes.append(f"a worker died {times} while it ran {which} of {group.source.name}")
         value: Any = finished.value
         if isinstance(finished.error, WorkerDiedError) and len(piece.cases) > 1:
             # One of them may be the cause: each on its own.
@@ -272,14 +278,6 @@ class _Runner:
             self._editions[piece.number] = 1 if self._traced(group, advance) else 0
         return self._editions[piece.number] or None
 
-    def _check_deaths(self, deaths: int) -> None:
-        if deaths >= MOST_DEATHS:
-            raise RuntimeUnfitError(
-                f"workers died {deaths} times in the middle of their cases; what is finished is stored. Is there "
-                f"enough memory? Try workers = 1",
-                setting="workers",
-            )
-
     def _keep(self, rows: Iterable[Row], advance: Advance) -> None:
         for row in rows:
             self.store.add(row)
@@ -287,10 +285,6 @@ class _Runner:
 
     def _fail(self, cases: Sequence[Case], error: str, advance: Advance) -> None:
         self._keep((Row(case.key, "failed", error) for case in cases), advance)
-
-
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
 
 
 def _keep_file(file: Path, content: bytes) -> None:

@@ -149,7 +149,8 @@ class Store:
             if known is None:
                 for statement in TABLES.split(";")[:-1]:
                     self._database.execute(statement)
-            codes = self._codes() if known is not None else []
+            found = self._database.execute("SELECT value FROM meta WHERE name = 'codes'").fetchone()
+            codes = json.loads(found[0]) if found else []  # digests of the code that computed what is stored
             current = code_digest(*NUMERIC)
             if any(code != current for code in codes):
                 self.notes.append(
@@ -167,11 +168,6 @@ class Store:
                 [(name, json.dumps(value, sort_keys=True)) for name, value in values.items()],
             )
             self._database.execute("COMMIT")
-
-    def _codes(self) -> list[str]:
-        """Digests of the code that computed what is stored."""
-        found = self._database.execute("SELECT value FROM meta WHERE name = 'codes'").fetchone()
-        return list(json.loads(found[0])) if found else []
 
     def _check(self, wanted: Identity) -> Identity | None:
         """Identity of what is stored, None where nothing is; refuses what does not fit."""
