@@ -49,6 +49,10 @@ def verdicts(**tables):
     return {claim.number: claim.verdict for claim in judge(ResultTables(**tables))}
 
 
+def only(number, **tables):
+    return next(claim for claim in judge(ResultTables(**tables)) if claim.number == number)
+
+
 VEHICLE = {
     "result_length_m": 4.4,
     "result_width_m": 1.8,
@@ -116,7 +120,7 @@ def test_distances_that_are_not_finite_are_left_out_and_counted():
     table = GOOD["star_optimal"].copy()
     table.loc[[0, 7], "cd_db"] = np.nan
     table.loc[11, "cd_db"] = -np.inf
-    claim = next(c for c in judge(ResultTables(star_optimal=table)) if c.number == "C3")
+    claim = only("C3", star_optimal=table)
     assert claim.verdict == "holds"
     assert claim.detail == "3 of 120 cases without a finite CD were left out (2 empty, 1 identical sets)"
 
@@ -146,13 +150,9 @@ def test_table_of_claims_has_a_row_each():
 
 def test_a_table_without_what_a_claim_is_about_leaves_it_open():
     table = GOOD["star_optimal"]
-    claim = next(c for c in judge(ResultTables(star_optimal=table[table["interval_deg"] != 5.0])) if c.number == "C13")
+    claim = only("C13", star_optimal=table[table["interval_deg"] != 5.0])
     assert claim.verdict == "not tested"
     assert "5°" in claim.detail
-
-
-def only(number, **tables):
-    return next(claim for claim in judge(ResultTables(**tables)) if claim.number == number)
 
 
 @pytest.mark.parametrize("lost", [np.nan, -np.inf])

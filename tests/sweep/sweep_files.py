@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mvla_sim.sweep.case import Row
 from mvla_sim.sweep.experiment import load_experiment
+from mvla_sim.sweep.store import Store
 
 SCENE = """
 name = "box"
@@ -52,3 +54,17 @@ def experiment(folder: Path, axes: str = AXES, more: str = "", overrides: tuple[
 def numbers(table):
     """A table without what may differ between two runs that agree: the time each case took."""
     return table.drop(columns="seconds")
+
+
+def keep_then(monkeypatch, count, act):
+    """Let ``act`` happen when the run keeps its ``count``-th row."""
+    kept = []
+    original = Store.add
+
+    def add(self, row: Row):
+        original(self, row)
+        kept.append(row)
+        if len(kept) == count:
+            act()
+
+    monkeypatch.setattr(Store, "add", add)

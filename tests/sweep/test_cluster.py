@@ -16,7 +16,7 @@ import psutil
 import pytest
 from distributed import Client
 from existing_cluster import Existing
-from sweep_files import experiment, numbers
+from sweep_files import experiment, keep_then, numbers
 
 from mvla_sim.cluster import dask_cluster as module
 from mvla_sim.cluster import worker as worker_module
@@ -62,20 +62,6 @@ def local():
 
 def assert_same(table, expected):
     pd.testing.assert_frame_equal(numbers(table), numbers(expected), check_exact=True)
-
-
-def keep_then(monkeypatch, count, act):
-    """Let ``act`` happen when the run keeps its ``count``-th row."""
-    kept = []
-    original = Store.add
-
-    def add(self, row: Row):
-        original(self, row)
-        kept.append(row)
-        if len(kept) == count:
-            act()
-
-    monkeypatch.setattr(Store, "add", add)
 
 
 def alive(pid):

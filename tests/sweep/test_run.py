@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-from sweep_files import AXES, experiment, numbers, write
+from sweep_files import AXES, experiment, keep_then, numbers, write
 
 from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.raytrace import ViewPaths
@@ -223,20 +223,6 @@ def test_a_second_run_is_refused_before_it_does_anything(finished):
 
 def kill_a_worker():
     multiprocessing.active_children()[0].kill()
-
-
-def keep_then(monkeypatch, count, act):
-    """Let ``act`` happen when the run keeps its ``count``-th row."""
-    kept = []
-    original = Store.add
-
-    def add(self, row: Row):
-        original(self, row)
-        kept.append(row)
-        if len(kept) == count:
-            act()
-
-    monkeypatch.setattr(Store, "add", add)
 
 
 def test_ctrl_c_keeps_what_is_finished_and_writes_the_table(tmp_path, monkeypatch):
