@@ -10,6 +10,7 @@ from typing import Any
 
 from mvla_sim.channel.loading import load_channel
 from mvla_sim.channel.simulate import cache_file, simulate
+from mvla_sim.engine.cache import cache_folder
 from mvla_sim.errors import DataError
 from mvla_sim.scene.views import Views
 from mvla_sim.scene.world import Scene
@@ -24,9 +25,14 @@ class Source:
     key: str  # what identifies the channel's content, and its name in the cache
     name: str  # what it is called in tables: the scene's name, or the channel file's
     views: Views  # all its views
-    file: Path  # the channel file; of a scene that in the cache, which need not be there yet
     scene: Scene | None = None  # the scene that is traced; None for a channel file
+    path: Path | None = None  # the channel file; None for a scene
     outline: Any = None  # the truth of a channel file that carries none; None: its own
+
+    @property
+    def file(self) -> Path:
+        """The channel file; of a scene that in the cache, which need not be there yet."""
+        return cache_folder() / "cir" / f"{self.key}.nc" if self.path is None else self.path
 
     def make(self) -> None:
         """Trace the scene, unless that was done. Raises as :func:`simulate`."""
@@ -36,8 +42,7 @@ class Source:
 
 def traced_source(scene: Scene) -> Source:
     """The channel of a scene."""
-    file = cache_file(scene)
-    return Source(file.stem, scene.name, scene.views, file, scene)
+    return Source(cache_file(scene).stem, scene.name, scene.views, scene)
 
 
 def file_source(path: str | os.PathLike[str], outline: Any = None) -> Source:
@@ -53,4 +58,4 @@ def file_source(path: str | os.PathLike[str], outline: Any = None) -> Source:
     digest = hashlib.sha256(file.read_bytes())
     if channel.outline is None:
         digest.update(outline.wkb)
-    return Source(f"file-{digest.hexdigest()[:32]}", name, channel.views, file, None, channel.outline or outline)
+    return Source(f"file-{digest.hexdigest()[:32]}", name, channel.views, None, file, channel.outline or outline)

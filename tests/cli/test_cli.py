@@ -141,7 +141,9 @@ def test_automatic_thresholds_need_no_truth(work):
     assert row["cd_db"] >= row["optimal_cd_db"]
     both = mvla("evaluate", "auto.nc", "--threshold", "auto", "--top-percent", "5", folder=work, code=2)
     assert "give one of them" in both
-    assert "should be 'auto'" in mvla("evaluate", "auto.nc", "--threshold", "otto", folder=work, code=2)
+    assert "'otto' is no threshold rule; allowed: auto, given" in mvla(
+        "evaluate", "auto.nc", "--threshold", "otto", folder=work, code=2
+    )
     assert "otto" in mvla("image", "cir.nc", "--threshold", "otto", "-o", "otto.nc", folder=work, code=2)
     assert not (work / "otto.nc").exists()
 
