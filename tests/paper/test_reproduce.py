@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from command_line import mvla
 
 from mvla_sim.measured.process import load_process
 from mvla_sim.paper import reproduce as reproduce_module
@@ -63,27 +61,12 @@ def work(tmp_path_factory):
     return folder
 
 
-def mvla(*arguments, folder, code=0):
-    command = [sys.executable, "-c", "from mvla_sim.cli import main; main()", *map(str, arguments)]
-    done = subprocess.run(
-        command,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=280,
-        check=False,
-        env=os.environ | {"COLUMNS": "150"},
-    )
-    assert done.returncode == code, done.stderr
-    assert "Traceback" not in done.stderr
-    return done.stdout + done.stderr
-
-
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # every experiment, and two reports
 def test_everything_runs_and_the_report_can_be_rebuilt_from_what_is_stored(work):
     scene = work / "scenes" / "star.toml"
     scene.write_text(scene.read_text().replace("interval_deg = 30.0", "interval_deg = 5.0"))  # the phase check wants 5°
-    text = mvla("reproduce", folder=work)
+    text = mvla("reproduce", "--experiments", "experiments", "--workers", 0, folder=work, notes=True)
     results = work / "results"
     assert "report.html" in text
     assert {p.name for p in results.iterdir() if p.is_dir()} == {*EXPERIMENTS, *MEASURED}
