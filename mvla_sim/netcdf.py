@@ -123,9 +123,10 @@ def write_netcdf(dataset: xr.Dataset, path: str | os.PathLike[str], packed: Iter
         The file cannot be written.
     """
     encoding = {name: PACKED for name in packed if dataset[name].size}
-    content = dataset.to_netcdf(engine="h5netcdf", encoding=encoding)  # in memory: HDF5 crashes where a disk is full
-    with atomic_output(path) as temporary, temporary.open("wb") as file:
-        file.write(content)  # Path.write_bytes keeps a view of it in an error, and then it cannot be freed
+    # In memory, as HDF5 crashes where a disk is full; a copy, as an error would keep a view of xarray's buffer.
+    content = bytes(dataset.to_netcdf(engine="h5netcdf", encoding=encoding))
+    with atomic_output(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def read_netcdf(path: str | os.PathLike[str], what: str = "NetCDF file") -> xr.Dataset:
