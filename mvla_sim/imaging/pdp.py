@@ -63,6 +63,9 @@ class Pdp:
         As in the settings: what noise of the same band looks like.
     carrier_hz
         Carrier frequency, which phase-free methods never look at.
+    noise_mean, noise_sigma
+        True mean and standard deviation of the noise that was added to each view, where there is no signal and before
+        negative powers are clipped, ``[n_view]``, path gain; None where none was added or the data have their own.
     """
 
     power: NDArray[np.float64]
@@ -74,6 +77,8 @@ class Pdp:
     window: Window = field(default_factory=Window)
     oversampling: int = 1
     carrier_hz: float = float("nan")
+    noise_mean: NDArray[np.float64] | None = None
+    noise_sigma: NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         near, far = self.range_m[[0, -1]]
@@ -86,8 +91,13 @@ class Pdp:
 
     def select(self, indices: NDArray[np.intp]) -> Pdp:
         """Return the given views, in the given order."""
-        amplitude = None if self.amplitude is None else self.amplitude[indices]
-        return replace(self, power=self.power[indices], amplitude=amplitude)
+        return replace(
+            self,
+            power=self.power[indices],
+            amplitude=None if self.amplitude is None else self.amplitude[indices],
+            noise_mean=None if self.noise_mean is None else self.noise_mean[indices],
+            noise_sigma=None if self.noise_sigma is None else self.noise_sigma[indices],
+        )
 
 
 def gate_for(grid: VoxelGrid, views: Views, settings: PdpSettings) -> tuple[float, float]:

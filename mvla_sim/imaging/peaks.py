@@ -81,8 +81,8 @@ class Peaks(Ragged):
 class PeakDetector(Kind):
     """A way to find multipath components in profiles.
 
-    A detector has the field ``kind``, a ``Literal`` of its name, and :meth:`peaks_of`, which never looks at the true
-    noise.
+    A detector has the field ``kind``, a ``Literal`` of its name, and :meth:`peaks_of`, which looks at the true noise
+    only where its settings say so.
     """
 
     kinds: ClassVar[Kinds[PeakDetector]] = DETECTORS

@@ -202,7 +202,7 @@ class Pipeline:
             return FrontEnd(None, channel.components, channel.resolution_m)
         clean, noise = channel.pdp, effective_noise(channel, settings.noise)
         assert clean is not None
-        pdp = self.keep("noise", noise, lambda: noise.add(clean, channel.numbers))
+        pdp = self.keep("noise", noise, lambda: _with_noise(channel, clean, noise))
         peaks = Peaks.none(channel.numbers.size)
         if method.uses_peaks:
             peaks = self.keep("peaks", (noise, settings.peaks), lambda: settings.peaks.peaks_of(pdp))
@@ -267,6 +267,12 @@ class Pipeline:
             outline=self.channel.outline,
             resolution_m=seen.resolution_m,
         )
+
+
+def _with_noise(channel: ProfiledChannel, clean: Pdp, noise: Noise) -> Pdp:
+    """The profiles with noise; what was added to a measured channel is not all the noise that it has."""
+    pdp = noise.add(clean, channel.numbers)
+    return replace(pdp, noise_mean=None, noise_sigma=None) if channel.measured else pdp
 
 
 def effective_noise(channel: ProfiledChannel, noise: Noise) -> Noise:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mvla_sim.dsp import Window
 from mvla_sim.errors import ConfigError
+from mvla_sim.imaging.imaging_settings import imaging_settings
 from mvla_sim.imaging.pdp import PdpSettings, compute_pdp
 from mvla_sim.streams import stream
 
@@ -128,3 +129,66 @@ def test_complex_noise_is_the_same_whatever_the_oversampling():
         band = (np.arange(4096) + 0.5) / 4096 - 0.5
         expected = (weights * np.cos(2 * np.pi * band * lag)).sum() / weights.sum()
         assert neighbours == pytest.approx(expected, abs=0.05)  # over 1,000 independent cells
+
+
+SIGNALS = ("mean-square", "mean-power", "peak-power")
+KINDS = ("gaussian", "exponential", "complex")
+
+
+def told(power, kind, signal, reference, ratio):
+    """Level of the noise by the conventions' formulas: σ of Gaussian noise, mean of the others' power, ``[n_view]``."""
+    if signal == "peak-power":
+        level = power.max(axis=1) if reference == "view" else np.full(VIEWS, power.max())
+    elif signal == "mean-power" or kind == "complex":
+        level = power.mean(axis=1) if reference == "view" else np.full(VIEWS, power.mean())
+    else:
+        square = (power**2).mean(axis=1) if reference == "view" else np.full(VIEWS, (power**2).mean())
+        return np.sqrt(square / ratio / (2 if kind == "exponential" else 1))
+    return level / ratio
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize("reference", ["view", "all"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_level_of_the_noise_is_the_conventions_formula(clean, kind, reference, signal):
+    """What the profiles say was added is the formula, and what was added has that mean and that deviation."""
+    noisy = noise_of(snr_db=10.0, kind=kind, reference=reference, signal=signal).add(clean)
+    level = told(clean.power, kind, signal, reference, 10.0)
+    np.testing.assert_allclose(noisy.noise_sigma, level, rtol=1e-12)
+    np.testing.assert_allclose(noisy.noise_mean, 0 * level if kind == "gaussian" else level, rtol=1e-12)
+    added = np.abs(noisy.amplitude - clean.amplitude) ** 2 if kind == "complex" else noisy.power - clean.power
+    samples = clean.power.size
+    if kind == "complex":
+        samples /= 2 * clean.oversampling  # Hann's noise is alike over two cells
+    in_levels = added / level[:, None]
+    mean = 0.0 if kind == "gaussian" else 1.0
+    assert in_levels.mean() == pytest.approx(mean, abs=5 / np.sqrt(samples))
+    assert in_levels.std() == pytest.approx(1.0, abs=5 * np.sqrt(2 / samples))  # an exponential's own: kurtosis 9
+
+
+def test_mean_square_and_mean_power_of_an_amplitude_are_one(clean):
+    one, other = (noise_of(kind="complex", signal=signal).add(clean).power for signal in SIGNALS[:2])
+    np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_clipping_sets_what_is_negative_to_zero_and_nothing_else(clean, kind):
+    free, clipped = (noise_of(snr_db=0.0, kind=kind, clip=clip).add(clean) for clip in (False, True))
+    np.testing.assert_array_equal(clipped.power, np.where(free.power < 0, 0, free.power))
+    assert (free.power < 0).any() == (kind == "gaussian")
+    np.testing.assert_array_equal(clipped.noise_sigma, free.noise_sigma)
+
+
+def test_selected_views_take_their_noise_with_them(clean):
+    noisy, taken = noise_of(kind="exponential").add(clean), np.array([7, 2, 2])
+    some = noisy.select(taken)
+    np.testing.assert_array_equal(some.noise_mean, noisy.noise_mean[taken])
+    np.testing.assert_array_equal(some.noise_sigma, noisy.noise_sigma[taken])
+    assert clean.select(taken).noise_mean is None
+
+
+def test_unknown_conventions_are_refused():
+    for settings_, words in (({"signal": "power"}, "noise.signal = 'power'"), ({"clip": "yes"}, "noise.clip = 'yes'")):
+        with pytest.raises(ConfigError, match=words) as error:
+            imaging_settings(noise=settings_)
+        assert "\n" not in str(error.value)

@@ -6,18 +6,21 @@ import dataclasses
 
 import numpy as np
 import pytest
-from cases import RESOLUTION, channel, noise_of, random_channel, ring
+from cases import RESOLUTION, channel, noise_of, random_channel, response, ring
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from mvla_sim.errors import DataError
+from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.imaging.detectors.local_maxima import LocalMaxima
+from mvla_sim.imaging.imaging_settings import imaging_settings
 from mvla_sim.imaging.pdp import Pdp, PdpSettings, compute_pdp
 from mvla_sim.imaging.peaks import Peaks
+from mvla_sim.imaging.pipeline import observe
 
 CELL = 1.5 * RESOLUTION  # Hann's
 ONE = ring(1)
+GRID = {"size_m": [4.0, 4.0, 0.0], "spacing_m": 0.1}
 
 
 def peaks_of(paths, peaks=None, **pdp):
@@ -139,3 +142,70 @@ def test_inconsistent_peaks_are_refused(change):
     good = Peaks(np.ones(1), np.ones(1), np.array([1]))
     with pytest.raises(DataError, match="peaks: "):
         dataclasses.replace(good, **change)
+
+
+def test_true_noise_gives_the_false_alarms_that_the_threshold_says():
+    """Exponential noise exceeds mean + kσ, its mean being its σ, with probability e^−(k+1)."""
+    rng = np.random.default_rng(8)
+    power = rng.standard_exponential((300, 2000)) * np.linspace(1, 3, 300)[:, None]
+    level = np.linspace(1, 3, 300)
+    pdp = dataclasses.replace(profile(power), noise_mean=level, noise_sigma=level)
+    detector = LocalMaxima(threshold_sigma=5.0, relative_to="true-noise", min_separation=0.0, refine=False)
+    expected = power.size * np.exp(-6)
+    found = detector.peaks_of(pdp)
+    # a higher neighbour takes a sample's place with probability 2·e^−6, half a per cent
+    assert abs(found.range_m.size - expected) < 5 * np.sqrt(expected) + 0.005 * expected
+    assert (found.power > 6 * level[found.view]).all()
+
+
+def test_true_noise_does_not_rise_with_the_echoes():
+    """Where echoes fill more than half of the profile the estimated floor is that of echoes."""
+    power = np.tile([0.0, 2.0, 5.0, 2.0], 50)
+    known = dataclasses.replace(profile(power), noise_mean=np.zeros(1), noise_sigma=np.array([0.1]))
+    assert LocalMaxima(min_separation=0.0).peaks_of(known).range_m.size == 0
+    assert LocalMaxima(min_separation=0.0, relative_to="true-noise").peaks_of(known).range_m.size == 50
+
+
+def test_relative_to_the_maximum_the_dynamic_range_alone_decides():
+    rng = np.random.default_rng(9)
+    pdp = profile(rng.standard_exponential((10, 1000)))
+    for limit in (3.0, 10.0):
+        options = {"relative_to": "maximum", "dynamic_range_db": limit, "min_separation": 0.0, "refine": False}
+        peaks, strict = (LocalMaxima(threshold_sigma=sigma, **options).peaks_of(pdp) for sigma in (4.0, 50.0))
+        inner = pdp.power[:, 1:-1]
+        top = (inner > pdp.power[:, :-2]) & (inner > pdp.power[:, 2:])
+        expected = top & (inner >= pdp.power.max(axis=1, keepdims=True) * 10 ** (-limit / 10))
+        np.testing.assert_array_equal(peaks.row_size, expected.sum(axis=1))
+        np.testing.assert_array_equal(strict.range_m, peaks.range_m)
+
+
+@pytest.mark.parametrize("noise", [{"snr_db": None}, {"snr_db": 20.0}])
+def test_true_noise_that_is_not_known_is_refused(noise):
+    """Without noise, and of measured data, which have their own beside what is added."""
+    views = ring(4)
+    paths = [[(10.0, 1.0)]] * 4
+    seen = channel(paths, views) if noise["snr_db"] is None else response(paths, views)
+    chosen = imaging_settings(noise=noise, peaks={"relative_to": "true-noise"}, grid=GRID)
+    with pytest.raises(ConfigError, match=r"peaks\.relative_to = 'true-noise': the noise of these") as error:
+        observe(seen, chosen)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("kind", ["gaussian", "exponential", "complex"])
+def test_true_noise_reaches_the_detector(kind):
+    """Through the pipeline: the views that are looked at have their own noise, and few peaks are false."""
+    views = ring(12)
+    seen = channel([[(10.0, 1.0 + view)] for view in range(12)], views)
+    chosen = imaging_settings(
+        noise={"kind": kind, "snr_db": 20.0, "signal": "mean-power"}, interval_deg=60.0, grid=GRID,
+        peaks={"relative_to": "true-noise", "threshold_sigma": 12.0, "dynamic_range_db": 80.0},
+    )  # fmt: skip
+    pdp, found = (getattr(observe(seen, chosen), name) for name in ("pdp", "peaks"))
+    assert found.row_size.min() >= 1
+    assert (found.power > (pdp.noise_mean + 12 * pdp.noise_sigma)[found.view]).all()
+    assert np.diff(pdp.noise_sigma).min() > 0
+
+
+def test_unknown_references_of_the_threshold_are_refused():
+    with pytest.raises(ConfigError, match=r"peaks\.relative_to = 'noise'"):
+        imaging_settings(peaks={"relative_to": "noise"})

@@ -17,9 +17,10 @@ __all__ = ["ComplexNoise"]
 
 
 class ComplexNoise(Noise):
-    """Circular and of the signal's own band and window: |h + n|², n circular Gaussian of power ⟨|h|²⟩/ρ.
+    """Circular and of the signal's own band and window: |h + n|², n circular Gaussian of power ⟨|h|²⟩/ρ, or max|h|²/ρ.
 
-    It does not depend on ``pdp.oversampling``.
+    The latter with ``signal = "peak-power"``; the other two conventions are the same here. It does not depend on
+    ``pdp.oversampling``. Where there is no signal the noise's power is exponential: its mean is its standard deviation.
     """
 
     uses_amplitude: ClassVar[bool] = True
@@ -36,9 +37,10 @@ class ComplexNoise(Noise):
         """
         if pdp.amplitude is None:
             raise ConfigError("noise.kind = 'complex' needs complex amplitudes; these profiles hold power only")
-        scale = np.sqrt(self.mean_over_gate(pdp.power) / ratio)
-        amplitude = pdp.amplitude + scale[:, None] * np.array([_band_noise(one, pdp) for one in generators])
-        return replace(pdp, power=np.abs(amplitude) ** 2, amplitude=amplitude)
+        over_gate = self.peak_over_gate if self.signal == "peak-power" else self.mean_over_gate
+        power = over_gate(pdp.power) / ratio
+        amplitude = pdp.amplitude + np.sqrt(power)[:, None] * np.array([_band_noise(one, pdp) for one in generators])
+        return replace(pdp, power=np.abs(amplitude) ** 2, amplitude=amplitude, noise_mean=power, noise_sigma=power)
 
 
 def _band_noise(random: np.random.Generator, pdp: Pdp) -> NDArray[np.complex128]:

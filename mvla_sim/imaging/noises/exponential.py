@@ -17,13 +17,14 @@ __all__ = ["ExponentialNoise"]
 class ExponentialNoise(Noise):
     """Noise power that does not beat with the signal: P + n, n exponential of mean √(⟨P²⟩/(2ρ)), so that ⟨n²⟩ = ⟨P²⟩/ρ.
 
-    It is white on the profile's axis, as Gaussian noise is.
+    By ``signal`` its mean is ⟨P⟩/ρ or max P/ρ instead. It is white on the profile's axis, as Gaussian noise is.
     """
 
     kind: Literal["exponential"] = "exponential"
 
     def drawn(self, pdp: Pdp, ratio: float, generators: Sequence[np.random.Generator]) -> Pdp:
         """P + n."""
-        second_moment = self.mean_over_gate(pdp.power**2) / ratio
+        mean = self.level(pdp.power, ratio, 2.0)
         draw = np.array([generator.standard_exponential(pdp.power.shape[1]) for generator in generators])
-        return replace(pdp, power=pdp.power + np.sqrt(second_moment / 2)[:, None] * draw, amplitude=None)
+        noisy = pdp.power + mean[:, None] * draw
+        return replace(pdp, power=noisy, amplitude=None, noise_mean=mean, noise_sigma=mean)

@@ -15,17 +15,17 @@ __all__ = ["GaussianNoise"]
 
 
 class GaussianNoise(Noise):
-    """White and of zero mean, added to the PDP: P + n, n ~ N(0, σ²), σ² = ⟨P²⟩/ρ.
+    """White and of zero mean, added to the PDP: P + n, n ~ N(0, σ²), σ = √(⟨P²⟩/ρ); by ``signal`` ⟨P⟩/ρ or max P/ρ.
 
-    The signal whose power is measured is the PDP itself, as the usual AWGN tools with 'measured' power do. The result
-    may be negative. The noise is white on the profile's axis, so that in a resolution cell falls as
-    ``pdp.oversampling`` rises.
+    The result may be negative, unless it is clipped. The noise is white on the profile's axis, so that in a resolution
+    cell falls as ``pdp.oversampling`` rises.
     """
 
     kind: Literal["gaussian"] = "gaussian"
 
     def drawn(self, pdp: Pdp, ratio: float, generators: Sequence[np.random.Generator]) -> Pdp:
         """P + n."""
-        variance = self.mean_over_gate(pdp.power**2) / ratio
+        sigma = self.level(pdp.power, ratio)
         draw = np.array([generator.standard_normal(pdp.power.shape[1]) for generator in generators])
-        return replace(pdp, power=pdp.power + np.sqrt(variance)[:, None] * draw, amplitude=None)
+        noisy = pdp.power + sigma[:, None] * draw
+        return replace(pdp, power=noisy, amplitude=None, noise_mean=np.zeros_like(sigma), noise_sigma=sigma)
