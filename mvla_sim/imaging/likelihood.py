@@ -12,7 +12,15 @@ from mvla_sim.imaging.projection import RangeProfiles
 from mvla_sim.memory import check_memory
 from mvla_sim.settings import Settings
 
-__all__ = ["MvlaSettings", "hard_profiles", "kernel_scales", "likelihood_profiles", "nearest_peak", "range_axis"]
+__all__ = [
+    "MvlaSettings",
+    "hard_profiles",
+    "kernel_samples",
+    "kernel_scales",
+    "likelihood_profiles",
+    "nearest_peak",
+    "range_axis",
+]
 
 _SAMPLES_PER_SIGMA = 16
 """Nodes per σ_R: linear interpolation then errs by at most h²/(8σ²) = 4.9·10⁻⁴ of a kernel's peak."""
@@ -79,8 +87,8 @@ def likelihood_profiles(
     step = sigma_m / _SAMPLES_PER_SIGMA
     start, count = _axis(span_m, step, peaks.n_view)
     reach = min(radius_m + step, _NEGLIGIBLE_SIGMAS * sigma_m)
-    half = int(np.ceil(reach / step)) + 1
-    around = np.arange(-half, half + 1)
+    around = kernel_samples(sigma_m, radius_m)
+    half = int(around[-1])
     middle = np.rint((peaks.range_m - start) / step).astype(np.intp)
     distance = (start + step * middle - peaks.range_m)[:, None] + step * around
     kernel = np.exp(distance**2 / (-2 * sigma_m**2))
@@ -96,6 +104,13 @@ def likelihood_profiles(
         nearest_peak(peaks, start, step, count),
         radius_m,
     )
+
+
+def kernel_samples(sigma_m: float, radius_m: float) -> NDArray[np.intp]:
+    """Nodes around a peak's own at which its kernel is evaluated, of σ_R and R_T in metres."""
+    step = sigma_m / _SAMPLES_PER_SIGMA
+    half = int(np.ceil(min(radius_m + step, _NEGLIGIBLE_SIGMAS * sigma_m) / step)) + 1
+    return np.arange(-half, half + 1)
 
 
 def hard_profiles(peaks: Peaks, tolerance_m: float, span_m: tuple[float, float]) -> RangeProfiles:

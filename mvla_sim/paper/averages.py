@@ -11,7 +11,7 @@ from scipy.stats import spearmanr
 
 __all__ = [
     "BP", "DENSE_DEG", "MVLA", "SPARSE_DEG", "CannotTellError", "calibrated_means", "dense_and_sparse", "finite",
-    "left_out", "mean_advantage", "mean_cd", "need", "rank_correlation", "spread_over_snr",
+    "left_out", "mean_advantage", "mean_by_target", "mean_cd", "need", "rank_correlation", "spread_over_snr",
 ]  # fmt: skip
 
 MVLA, BP = "mvla-gr", "bp"
@@ -58,6 +58,17 @@ def mean_cd(table: pd.DataFrame) -> pd.DataFrame:
     if len(means) < np.prod([means.index.get_level_values(level).nunique() for level in (0, 1)]):
         raise CannotTellError("needs every interval at every SNR")
     return means
+
+
+def mean_by_target(table: pd.DataFrame, targets: Sequence[str]) -> pd.Series[float]:
+    """J(κ, η), the mean CD over the targets (``eq:param_selection_obj``), dB(m²), by ``(kappa, eta)``.
+
+    A cell that lacks a target is no average of all, and left out.
+    """
+    by_target = finite(table).groupby(["kappa", "eta", "scene"])["cd_db"].mean().unstack("scene")
+    need(", ".join(targets), set(targets) <= set(by_target.columns))
+    average: pd.Series[float] = by_target[list(targets)].dropna().mean(axis=1)
+    return average
 
 
 def mean_advantage(table: pd.DataFrame) -> float:

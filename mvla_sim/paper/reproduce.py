@@ -15,7 +15,7 @@ from mvla_sim.errors import DataError
 from mvla_sim.files import atomic_output, make_folder
 from mvla_sim.measured.process import Processed, load_process, process
 from mvla_sim.measured.process_files import write_processed
-from mvla_sim.paper.checks import measure_cost, measure_phase
+from mvla_sim.paper.checks import count_work, measure_phase
 from mvla_sim.paper.report import draw_examples, write_report
 from mvla_sim.pictures.run_pictures import draw_run
 from mvla_sim.scene.world import Scene
@@ -86,7 +86,7 @@ def reproduce(
         yield MeasurementStep(chosen.name, done, written)
     began = time.perf_counter()
     star = Scene.load(experiments.parent / "scenes" / "star.toml")
-    _write(folder / "checks.json", {"c15": measure_cost(), "c16": measure_phase(simulate(star))})
+    _write(folder / "checks.json", {"c15": count_work(), "c16": measure_phase(simulate(star))})
     seconds["checks"] = time.perf_counter() - began
     _write(folder / "run.json", {"quick": quick, "seconds": seconds, "total_s": sum(seconds.values())})
     yield write_report(folder)

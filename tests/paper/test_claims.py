@@ -70,7 +70,7 @@ GOOD = {
     "star_calibrated": star(lambda m, s, i: as_published(m, s, i) + (1 + 0.1 * (20 - s) if m == "mvla-gr" else 1)),
     "checks": {
         "c14": VEHICLE,
-        "c15": {"voxels_x4": 4.1, "views_x4": 3.9, "peaks_x4": 1.05},
+        "c15": {"base_updates": 2e7, "voxels_x4": 4.1, "views_x4": 3.9, "peaks_x4": 1.05},
         "c16": {"largest_score_change": {"mvla-gr": 1e-7, "bp": 2e-7}},
     },
 }
@@ -99,7 +99,7 @@ BAD = {
     "C12": {"star_optimal": star(as_published, p=lambda snr, method: 0.3 + snr / 100)},
     "C13": {"star_optimal": star(lambda m, s, i: as_published(m, s, i) + 9 * (i == 5))},
     "C14": {"checks": {"c14": VEHICLE | {"result_width_m": 2.0}}},
-    "C15": {"checks": {"c15": {"voxels_x4": 4.0, "views_x4": 4.0, "peaks_x4": 3.9}}},
+    "C15": {"checks": {"c15": {"base_updates": 2e7, "voxels_x4": 4.0, "views_x4": 4.0, "peaks_x4": 3.9}}},
     "C16": {"checks": {"c16": {"largest_score_change": {"mvla-gr": 1e-3, "bp": 0.0}}}},
 }
 
@@ -107,6 +107,25 @@ BAD = {
 @pytest.mark.parametrize(("number", "tables"), BAD.items(), ids=BAD)
 def test_claim_does_not_hold_where_it_must_not(number, tables):
     assert verdicts(**(GOOD | tables))[number] == "does not hold"
+
+
+@pytest.mark.parametrize(("number", "tables"), BAD.items(), ids=BAD)
+def test_margins_say_what_verdicts_say(number, tables):
+    good, bad = (
+        next(claim for claim in judge(ResultTables(**chosen)) if claim.number == number)
+        for chosen in (GOOD, GOOD | tables)
+    )
+    assert good.margin >= 0
+    assert bad.margin <= 0 < good.margin - bad.margin
+
+
+def test_the_margin_is_in_the_unit_of_the_figure():
+    """The minimum is 2 dB below the paper's point: C1 misses by 2 dB."""
+    claim = only("C1", kappa_eta=map_of((0.7, 0.04)))
+    assert claim.margin == pytest.approx(-claim.measured)
+    assert only("C5", star_optimal=GOOD["star_optimal"]).margin == pytest.approx(
+        1.0 - only("C5", star_optimal=GOOD["star_optimal"]).measured
+    )
 
 
 def test_missing_tables_are_not_tested():
@@ -145,7 +164,7 @@ def test_thresholds_average_within_an_interval_first():
 def test_table_of_claims_has_a_row_each():
     table = claims_table(judge(ResultTables(**GOOD)))
     assert len(table) == 16
-    assert {"number", "text", "rule", "figure", "measured", "verdict", "detail"} == set(table.columns)
+    assert {"number", "text", "rule", "figure", "measured", "margin", "verdict", "detail"} == set(table.columns)
 
 
 def test_a_table_without_what_a_claim_is_about_leaves_it_open():
