@@ -21,9 +21,11 @@ from mvla_sim.evaluation.evaluate import EvaluationSettings
 from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.method import METHODS
 from mvla_sim.imaging.methods.functions import names_a_file
+from mvla_sim.imaging.reading import BLOCKS, load_reading
 from mvla_sim.kinds import Kinds
 from mvla_sim.measured.process import ProcessSettings
 from mvla_sim.scene.world import SceneSettings
+from mvla_sim.settings import parse
 from mvla_sim.sweep.experiment import ExperimentSettings
 
 __all__ = ["Setting", "list_settings"]
@@ -62,20 +64,26 @@ class Setting(NamedTuple):
     meaning: str
 
 
-def list_settings(*words: str) -> list[Setting]:
+def list_settings(*words: str, reading: str | None = None) -> list[Setting]:
     """Return settings: all, or those that every word selects.
 
     Parameters
     ----------
     *words
         Each a group (``scene``), a part of a key, as ``peaks`` or ``snr``, or a method of a file, ``file.py:function``.
+    reading
+        Show the values of this reading of the paper in place of the defaults, and only what a reading may set.
 
     Raises
     ------
     ConfigError
-        There is no such setting, or method.
+        There is no such setting, or method; or the reading has one that is not allowed.
+    DataError
+        There is no such reading.
     """
     found = [Setting(group, *row) for group, model in GROUPS.items() for row in _rows(model, "", (model,))]
+    if reading is not None:
+        found = _under(reading, found)
     for word in words:
         if names_a_file(word):
             method = METHODS.find(word)
@@ -85,6 +93,31 @@ def list_settings(*words: str) -> list[Setting]:
         if not found:
             raise ConfigError(f"no setting has {' and '.join(map(repr, words))}; {_hint(word)}")
     return found
+
+
+def _under(reading: str, settings: list[Setting]) -> list[Setting]:
+    """The settings that a reading may set, with its values; where it changes one, the default is in the meaning."""
+    tables = load_reading(reading)
+    for group in BLOCKS:
+        parse(GROUPS[group], tables.get(group, {}), f"reading '{reading}': {group}")
+    given = {(group, key): value for group, table in tables.items() for key, value in _values(table, "")}
+    shown = []
+    for entry in settings:
+        if entry.group in BLOCKS:
+            value = given.get((entry.group, entry.key))
+            default = _toml(value) if value is not None else entry.default
+            changed = default != entry.default
+            note = f"{entry.meaning}; default {entry.default}" if changed else entry.meaning
+            shown.append(entry._replace(default=default, meaning=note))
+    return shown
+
+
+def _values(table: dict[str, Any], path: str) -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _values(value, f"{path}{key}.")
+        else:
+            yield f"{path}{key}", value
 
 
 def _hint(word: str) -> str:

@@ -1,4 +1,4 @@
-"""Scenes and experiments that come with the package, found by their names."""
+"""Scenes, experiments and readings that come with the package, found by their names."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ PACKAGE = Path(__file__).parent
 ROOTS = (PACKAGE / "data", PACKAGE.parent)
 """Where they may be: inside an installed package, or beside it in a checkout."""
 
-Folder = Literal["scenes", "experiments"]
+Folder = Literal["scenes", "experiments", "readings"]
 
 
 def shipped_folder(folder: Folder) -> Path:
-    """Folder of the scenes, or of the experiments, that come with the package."""
-    return next((root / folder for root in ROOTS if (root / folder).is_dir()), PACKAGE / "data" / folder)
+    """Folder of the scenes, experiments or readings that come with the package."""
+    inside = "experiments/readings" if folder == "readings" else folder
+    return next((root / inside for root in ROOTS if (root / inside).is_dir()), PACKAGE / "data" / inside)
 
 
 def find(folder: Folder, name: str | os.PathLike[str], beside: Path | None = None) -> Path:

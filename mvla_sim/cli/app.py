@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import warnings
+from typing import Annotated, Any
 
 import typer
 from typer.exceptions import TyperException
@@ -16,6 +17,7 @@ from mvla_sim.cli.options import note, option_for, out
 from mvla_sim.cli.scene_commands import channel_app, scene_app
 from mvla_sim.cli.sweep_commands import sweep_app
 from mvla_sim.errors import MvlaError
+from mvla_sim.imaging.reading import ReadingWarning
 from mvla_sim.interrupt import INTERRUPTED
 
 __all__ = ["app", "run"]
@@ -37,8 +39,19 @@ def run(arguments: list[str]) -> int:
     """Run the command line and return its exit code; errors of the package are one line and code 2."""
     if arguments in ([], ["scene"], ["dataset"]):
         arguments = [*arguments, "--help"]
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        if issubclass(category, ReadingWarning):
+            note(f"note: {message}")
+        else:
+            shown(message, category, *place)
+
     try:
-        code = app(arguments, prog_name="mvla", standalone_mode=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", ReadingWarning)
+            warnings.showwarning = show  # type: ignore[assignment]
+            code = app(arguments, prog_name="mvla", standalone_mode=False)
     except TyperException as error:
         note(f"error: {error.format_message()}")
         return 2

@@ -12,7 +12,7 @@ import typer
 from rich.table import Table
 
 import mvla_sim
-from mvla_sim.cli.options import Output, Overrides, check_output, say, show
+from mvla_sim.cli.options import Output, Overrides, Reading, check_output, say, show
 from mvla_sim.errors import ConfigError
 
 __all__ = ["image_app"]
@@ -41,6 +41,7 @@ def image(
     offset: Annotated[int | None, typer.Option(help="First view used.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the noise.")] = None,
     threshold: Annotated[str | None, typer.Option(help="auto: also a binary image, without the truth.")] = None,
+    reading: Reading = None,
     overrides: Overrides = None,
 ) -> None:
     """Reconstruct an image from a CIR file, or from imported data."""
@@ -54,6 +55,7 @@ def image(
         "offset": offset,
         "seed": seed,
         "threshold": threshold,
+        "reading": reading,
     }
     settings = imaging_settings(overrides or [], **{k: v for k, v in given.items() if v is not None})
     from mvla_sim.channel.loading import load_channel
@@ -74,11 +76,13 @@ def evaluate(
         float | None, typer.Option("--min-support", "--min-support-deg", help="T_θ in degrees, with --top-percent.")
     ] = None,
     threshold: Annotated[str | None, typer.Option(help="auto: thresholds from the image, without the truth.")] = None,
+    reading: Reading = None,
     json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     overrides: Overrides = None,
 ) -> None:
     """Score an image against its target: Chamfer distance, F1 and more, at given or at optimal thresholds."""
     from mvla_sim.evaluation.evaluate import EvaluationSettings
+    from mvla_sim.imaging.reading import on_reading
     from mvla_sim.settings import apply_overrides, parse
 
     if min_support_deg is not None and top_percent is None:
@@ -90,7 +94,10 @@ def evaluate(
         data["threshold"] = threshold
     if top_percent is not None:
         data["threshold"] = {"top_percent": top_percent, "min_support_deg": min_support_deg or 0.0}
-    settings = parse(EvaluationSettings, apply_overrides(data, overrides or []), "evaluation settings")
+    data = apply_overrides(data, overrides or [])
+    if reading is not None:
+        data = on_reading(reading, {"evaluation": data})["evaluation"]
+    settings = parse(EvaluationSettings, data, "evaluation settings")
     from mvla_sim.evaluation.evaluate import evaluate as score_image
     from mvla_sim.imaging.image import Image
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from mvla_sim.cli.options import note, say, show, wrote
+from mvla_sim.cli.options import Reading, note, say, show, wrote
 
 __all__ = ["machine_app"]
 
@@ -43,12 +43,16 @@ def settings(
             metavar="[WORD]...", help="Only these: scene, imaging, …, a part of keys, or a method file.py:function."
         ),
     ] = None,
+    reading: Reading = None,
 ) -> None:
-    """List every setting with its default and meaning: all, a group, or those whose key has a word in it."""
+    """List every setting with its default and meaning: all, a group, or those whose key has a word in it.
+
+    With a reading, those that it may set, with the values it gives them.
+    """
     from mvla_sim.listing import list_settings
 
     group = ""
-    for entry in list_settings(*(words or ())):
+    for entry in list_settings(*(words or ()), reading=reading):
         if entry.group != group:
             group = entry.group
             say(f"\n# {group}")

@@ -13,7 +13,7 @@ from mvla_sim.errors import ConfigError, MvlaError
 from mvla_sim.files import check_writable
 
 __all__ = [
-    "CacheUrl", "Output", "Overrides", "Scheduler", "Workers", "check_output", "duration", "errors", "note",
+    "CacheUrl", "Output", "Overrides", "Reading", "Scheduler", "Workers", "check_output", "duration", "errors", "note",
     "option_for", "out", "say", "show", "wrote",
 ]  # fmt: skip
 
@@ -24,6 +24,7 @@ Overrides = Annotated[
     list[str] | None, typer.Option("--set", help="Override a setting: dotted.key=value. May be repeated.")
 ]
 Output = Annotated[Path, typer.Option("--output", "-o", help="File to write.")]
+Reading = Annotated[str | None, typer.Option(help="Preset of what the paper leaves open: paper, physical, or a file.")]
 Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; default one a core, 0: none but this one.")]
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask scheduler whose workers do the work.")]
 CacheUrl = Annotated[

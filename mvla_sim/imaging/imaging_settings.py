@@ -21,6 +21,7 @@ from mvla_sim.imaging.noise import NOISES, Noise
 from mvla_sim.imaging.noises.gaussian import GaussianNoise
 from mvla_sim.imaging.pdp import PdpSettings
 from mvla_sim.imaging.peaks import DETECTORS, PeakDetector
+from mvla_sim.imaging.reading import on_reading
 from mvla_sim.imaging.thresholds import THRESHOLD_RULES, ThresholdRule
 from mvla_sim.imaging.view_selection import ViewSettings
 from mvla_sim.settings import Settings, apply_overrides, assign, parse
@@ -155,7 +156,11 @@ def imaging_key(name: str) -> str:
 
 
 def imaging_settings(
-    overrides: Sequence[str] = (), *, method: str | Callable[..., Any] | None = None, **values: Any
+    overrides: Sequence[str] = (),
+    *,
+    method: str | Callable[..., Any] | None = None,
+    reading: str | None = None,
+    **values: Any,
 ) -> ImagingSettings:
     """Build imaging settings from short names and dotted keys; everything else keeps its default.
 
@@ -165,6 +170,9 @@ def imaging_settings(
         ``dotted.key=value`` texts, as with ``--set``.
     method
         Name of a method, ``file.py:function``, or a function.
+    reading
+        Name of a reading of the paper, whose settings take the place of the defaults: ``paper`` or ``physical``, or a
+        file. What is set beside it wins, and a :class:`~mvla_sim.imaging.reading.ReadingWarning` says so.
     **values
         By short name, for example ``imaging_settings(method="bp", snr_db=20, interval_deg=5)``, or by the name of a
         whole block, ``imaging_settings(pdp={"window": "hamming"})`` or ``imaging_settings(noise=ExponentialNoise())``.
@@ -173,10 +181,15 @@ def imaging_settings(
     ------
     ConfigError
         An unknown name or a value that is not allowed.
+    DataError
+        There is no such reading.
     """
     data: dict[str, Any] = {}
     if method is not None:
         data["method"] = functions.named(method) if callable(method) else method
     for name, value in values.items():
         assign(data, imaging_key(name), "none" if value is None else value)
-    return parse(ImagingSettings, apply_overrides(data, overrides, imaging_key), "imaging settings")
+    data = apply_overrides(data, overrides, imaging_key)
+    if reading is not None:
+        data = on_reading(reading, {"imaging": data})["imaging"]
+    return parse(ImagingSettings, data, "imaging settings")

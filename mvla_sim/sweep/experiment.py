@@ -12,6 +12,7 @@ from mvla_sim.evaluation.evaluate import EvaluationSettings
 from mvla_sim.imaging.imaging_settings import SHORT_NAMES, ImagingSettings
 from mvla_sim.imaging.method import METHODS
 from mvla_sim.imaging.methods.functions import names_a_file
+from mvla_sim.imaging.reading import on_reading
 from mvla_sim.scene.world import SceneSettings
 from mvla_sim.settings import Settings, apply_overrides, parse, read_toml, resolve_beside
 from mvla_sim.shipped import find
@@ -118,6 +119,9 @@ class ExperimentSettings(Settings):
     description: str = Field("", description="for readers of the file")
     scenes: tuple[str, ...] = Field((), description="scene files, which are traced")
     channels: tuple[str, ...] = Field((), description="channel files, as of mvla import")
+    reading: str | None = Field(
+        None, description="preset of what the paper leaves open: 'paper', 'physical', or a file"
+    )
     truth: str | None = Field(None, description="scene file whose outline is the truth of channels that carry none")
     imaging: ImagingSettings = ImagingSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
@@ -208,4 +212,8 @@ def load_experiment(path: str | os.PathLike[str], overrides: Sequence[str] = ())
         data["axes"] = {
             key: [ALL] if value == ALL and dotted_key(key) == OFFSET else value for key, value in data["axes"].items()
         }
+    if isinstance(data.get("reading"), str):
+        if data["reading"].endswith(".toml"):
+            data["reading"] = resolve_beside(data["reading"], file.parent)
+        data = on_reading(data["reading"], data)
     return parse(ExperimentSettings, data, str(file))
