@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-__all__ = ["ConfigError", "DataError", "MvlaError", "OutputError", "RuntimeUnfitError", "reason"]
+import typing
+from typing import Any
+
+__all__ = ["ConfigError", "DataError", "MvlaError", "OutputError", "RuntimeUnfitError", "check_argument", "reason"]
 
 
 class MvlaError(Exception):
@@ -38,6 +41,30 @@ class OutputError(MvlaError, OSError):
 
 class RuntimeUnfitError(MvlaError, RuntimeError):
     """This machine cannot run the compiled kernels as it is set up; the message says how to fix it."""
+
+
+def check_argument(name: str, value: object, kind: Any, remedy: str) -> None:
+    """Refuse an argument that is of another class than it must be.
+
+    Parameters
+    ----------
+    name
+        The argument's.
+    value
+        What was given.
+    kind
+        Class that it must be of, or a union of classes.
+    remedy
+        How to come by one, for the message.
+
+    Raises
+    ------
+    ConfigError
+        It is none.
+    """
+    if not isinstance(value, kind):
+        names = " or ".join(one.__name__ for one in typing.get_args(kind) or (kind,))
+        raise ConfigError(f"{name}: {type(value).__name__} is no {names}; {remedy}")
 
 
 def reason(error: BaseException) -> str:

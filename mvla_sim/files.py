@@ -14,12 +14,26 @@ from typing import Final
 from mvla_sim.errors import DataError, OutputError
 from mvla_sim.interrupt import interruptible
 
-__all__ = ["atomic_output", "check_writable", "existing_file", "locked_folder", "make_folder"]
+__all__ = ["as_path", "atomic_output", "check_writable", "existing_file", "locked_folder", "make_folder"]
 
 LOCK: Final = ".lock"
 """Name of the file by which a folder is locked."""
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What writing to an open file raises, without the file's name."""
+
+
+def as_path(name: str | os.PathLike[str]) -> Path:
+    """Return the name of a file or folder as a :class:`~pathlib.Path`.
+
+    Raises
+    ------
+    DataError
+        It is of another type.
+    """
+    try:
+        return Path(name)
+    except TypeError as error:
+        raise DataError(f"{type(name).__name__} is no name of a file or folder; give text or a Path") from error
 
 
 @contextlib.contextmanager
@@ -35,7 +49,7 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
         The folder is missing, read-only or full, or ``path`` is a folder; the message names ``path``. Other errors of
         the block, such as those of a file that it reads, pass unchanged.
     """
-    target = Path(path)
+    target = as_path(path)
     with interruptible():
         temporary = _temporary_beside(target)
         try:
@@ -62,7 +76,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         As :func:`atomic_output` would later.
     """
     with interruptible():
-        _temporary_beside(Path(path)).unlink()
+        _temporary_beside(as_path(path)).unlink()
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
@@ -73,7 +87,7 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     OutputError
         It cannot be made.
     """
-    folder = Path(path)
+    folder = as_path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -119,7 +133,7 @@ def existing_file(path: str | os.PathLike[str], what: str) -> Path:
     DataError
         Missing, a folder, unreadable or empty.
     """
-    file = Path(path)
+    file = as_path(path)
     try:
         size = file.stat().st_size
     except FileNotFoundError as error:

@@ -16,7 +16,7 @@ from mvla_sim.channel.importing import ImportSettings
 from mvla_sim.channel.synthesis import SynthesisSettings
 from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.distributions import Drawn
-from mvla_sim.errors import ConfigError
+from mvla_sim.errors import ConfigError, check_argument
 from mvla_sim.evaluation.evaluate import EvaluationSettings
 from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.method import METHODS
@@ -85,6 +85,7 @@ def list_settings(*words: str, reading: str | None = None) -> list[Setting]:
     if reading is not None:
         found = _under(reading, found)
     for word in words:
+        check_argument("words", word, str, "a group or a part of a key")
         if names_a_file(word):
             method = METHODS.find(word)
             found = [Setting("imaging", *row) for row in _rows(method, f"{method.block_name()}.", (method,))]

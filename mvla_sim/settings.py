@@ -19,7 +19,7 @@ from typing import Any, Final, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
-from mvla_sim.errors import ConfigError
+from mvla_sim.errors import ConfigError, check_argument
 from mvla_sim.files import existing_file
 
 __all__ = ["Settings", "apply_overrides", "assign", "parse", "read_toml", "resolve_beside", "with_nulls"]
@@ -190,8 +190,10 @@ def apply_overrides(
     ConfigError
         The override is not of this form or goes through a value that has no keys.
     """
+    check_argument("overrides", overrides, list | tuple, "dotted.key=value texts")
     result = copy.deepcopy(data)
     for override in overrides:
+        check_argument("overrides", override, str, "dotted.key=value texts")
         key, separator, text = override.partition("=")
         if not separator or not re.fullmatch(r"[\w-]+(\.[\w-]+)*", key.strip()):
             raise ConfigError(f"--set {override}: write dotted.key=value, for example --set noise.snr_db=10")

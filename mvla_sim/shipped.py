@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from mvla_sim.errors import DataError
+from mvla_sim.files import as_path
 
 __all__ = ["find", "shipped_folder"]
 
@@ -46,7 +47,7 @@ def find(folder: Folder, name: str | os.PathLike[str], beside: Path | None = Non
     DataError
         There is neither a file nor anything shipped of a bare name; the message lists what is shipped.
     """
-    path = Path(name)
+    path = as_path(name)
     here = path if beside is None else beside / path
     if path.name != str(path) or os.path.isfile(here):  # noqa: PTH113 - Path.is_file raises in a locked folder
         return here

@@ -29,7 +29,7 @@ from mvla_sim.channel.readers.source import READERS, Foreign, GivenRadio, Reader
 from mvla_sim.channel.readers.touchstone import TouchstoneFolder
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.engine.provenance import provenance
-from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.errors import ConfigError, DataError, check_argument
 from mvla_sim.scene.antenna import ANTENNAS, Antenna
 from mvla_sim.scene.antennas.omni import Omni
 from mvla_sim.scene.columns import PLACE, RECEIVER
@@ -204,8 +204,7 @@ def import_channel(settings: ImportSettings) -> Channel:
     ConfigError, DataError
         One line that names the file or setting, its value and what is allowed.
     """
-    if not isinstance(settings, ImportSettings):
-        raise ConfigError(f"settings: {type(settings).__name__} is no ImportSettings; see import_settings")
+    check_argument("settings", settings, ImportSettings, "see import_settings")
     kind = settings.kind or source_kind(settings.source)
     found = settings.reader(kind).read(Path(settings.source), GivenRadio(settings.carrier_hz, settings.bandwidth_hz))
     settings.antenna.pattern()  # read now: the channel holds it, though its file may go

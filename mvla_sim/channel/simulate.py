@@ -17,7 +17,7 @@ from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.raytrace import ViewPaths, ViewTracer
 from mvla_sim.engine.cache import cache_folder, discard, pull, push
 from mvla_sim.engine.provenance import provenance
-from mvla_sim.errors import ConfigError, DataError, MvlaError, OutputError
+from mvla_sim.errors import DataError, MvlaError, OutputError, check_argument
 from mvla_sim.interrupt import deferred_interrupt
 from mvla_sim.progress import progress
 from mvla_sim.scene import antenna
@@ -72,8 +72,7 @@ def simulate(scene: Scene, *, cache: bool = True) -> Cir:
     SimulationInterruptedError
         Ctrl-C; with ``cache`` the views traced so far are kept for the next run.
     """
-    if not isinstance(scene, Scene):
-        raise ConfigError(f"scene: {type(scene).__name__} is no scene; for a file: Scene.load")
+    check_argument("scene", scene, Scene, "for a file: Scene.load")
     kept = cache_file(scene) if cache else None
     if kept is not None:
         pull(kept)

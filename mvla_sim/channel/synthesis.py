@@ -18,7 +18,8 @@ from mvla_sim.channel.references import echo_gain
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.constants import range_to_delay
 from mvla_sim.dsp import path_spectrum
-from mvla_sim.errors import ConfigError, DataError, OutputError
+from mvla_sim.errors import ConfigError, DataError, OutputError, check_argument
+from mvla_sim.files import as_path
 from mvla_sim.memory import check_memory
 from mvla_sim.settings import Settings
 from mvla_sim.streams import Stream, stream
@@ -116,6 +117,8 @@ def synthesize(cir: Cir, settings: SynthesisSettings) -> SweepSet:
     sweep; times the gain and exp(−j2πf·τ) of the cables. The sphere stands on the axis of the antennas: it has the echo
     of :func:`~mvla_sim.channel.references.echo_gain` at the carrier times their peak gains.
     """
+    check_argument("cir", cir, Cir, "see simulate")
+    check_argument("settings", settings, SynthesisSettings, "make one")
     start = cir.carrier_hz - cir.bandwidth_hz / 2
     step = cir.bandwidth_hz / (settings.points - 1)
     _check_folding(cir, settings, step)
@@ -198,7 +201,9 @@ def write_sweeps(
     OutputError
         A file cannot be written, or the folder holds other sweeps.
     """
-    place = Path(folder)
+    check_argument("measured", measured, SweepSet, "see synthesize")
+    check_argument("prefix", prefix, str, "the first part of a file's name")
+    place = as_path(folder)
     if not prefix or Path(prefix).name != prefix or "\\" in prefix or prefix.startswith("."):
         raise ConfigError(f"prefix = '{prefix}': allowed: the first part of a file's name, without '/'")
     names = _names(prefix, np.asarray(angles_deg, np.float64), measured.sweeps.n_view)

@@ -20,7 +20,7 @@ from mvla_sim.dataset.reader import ShardReader
 from mvla_sim.dataset.sample import check_room
 from mvla_sim.dataset.shard import FailedSample, Sample, Shard, encode, make_one, make_shard, numbers_of, shard_name
 from mvla_sim.errors import DataError, MvlaError, OutputError, RuntimeUnfitError
-from mvla_sim.files import atomic_output, check_writable, locked_folder
+from mvla_sim.files import as_path, atomic_output, check_writable, locked_folder
 from mvla_sim.interrupt import interruptible
 from mvla_sim.progress import Advance, progress
 from mvla_sim.sweep.case import flatten
@@ -100,7 +100,7 @@ def build_dataset(
     """
     settings = campaign if isinstance(campaign, CampaignSettings) else load_campaign(campaign)
     check_room(settings)
-    place = Path(folder)
+    place = as_path(folder)
     with locked_folder(place, "build"):
         check_writable(place / INDEX)
         kept, notes = stored_shards(settings, place)

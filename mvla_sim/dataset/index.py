@@ -18,7 +18,7 @@ from mvla_sim.dataset.sample import splits_of
 from mvla_sim.dataset.shard import FailedSample, numbers_of, shard_name
 from mvla_sim.engine.provenance import provenance
 from mvla_sim.errors import DataError
-from mvla_sim.files import atomic_output, existing_file
+from mvla_sim.files import as_path, atomic_output, existing_file
 from mvla_sim.settings import Settings, parse
 
 __all__ = ["INDEX", "INDEX_SCHEMA", "INDEX_VERSION", "Index", "ShardEntry", "file_sha256"]
@@ -125,7 +125,7 @@ class Index:
         ConfigError
             A setting in it is not allowed.
         """
-        place = Path(folder)
+        place = as_path(folder)
         if not place.is_dir():
             raise DataError(f"{place}: no such dataset; a dataset is a directory")
         file = place / INDEX

@@ -26,7 +26,7 @@ from mvla_sim.dataset.protocol import (
 from mvla_sim.engine.machine import program_version
 from mvla_sim.engine.provenance import code_digest, provenance
 from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.files import atomic_output, check_writable
+from mvla_sim.files import as_path, atomic_output, check_writable
 from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.method import METHODS, phase_free_methods
 from mvla_sim.imaging.methods.functions import names_a_file
@@ -125,7 +125,7 @@ def score_dataset(
         No such method or setting, no dataset, a split without samples, a folder that cannot be written, a method
         without an image of any validation sample; one line, where possible before work starts.
     """
-    place = Path(folder) / SCORES if output is None else Path(output)
+    place = as_path(folder) / SCORES if output is None else as_path(output)
     with (
         contextlib.closing(open_dataset(folder, "validation")) as validation,
         contextlib.closing(open_dataset(folder, "test")) as test,

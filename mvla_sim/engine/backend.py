@@ -18,10 +18,11 @@ from typing import Any, Final, Literal, cast
 from mvla_sim.engine import llvm
 from mvla_sim.errors import ConfigError, RuntimeUnfitError
 
-__all__ = ["VARIABLE", "Backend", "activate", "activate_sionna", "active", "set_threads"]
+__all__ = ["NAMES", "VARIABLE", "Backend", "activate", "activate_sionna", "active", "set_threads"]
 
 VARIABLE: Final[str] = "MVLA_BACKEND"
-"""The environment variable that overrides the choice: ``auto``, ``cuda`` or ``llvm``."""
+"""The environment variable that overrides the choice, with one of :data:`NAMES`."""
+NAMES: Final = ("auto", "cuda", "llvm")
 
 Name = Literal["cuda", "llvm"]
 
@@ -60,8 +61,8 @@ def activate() -> Backend:
         No backend can run here; the message says how to fix it.
     """
     wanted = os.environ.get(VARIABLE, "auto") or "auto"
-    if wanted not in ("auto", "cuda", "llvm"):
-        raise ConfigError(f"{VARIABLE} = '{wanted}' is no backend; allowed: auto, cuda, llvm")
+    if wanted not in NAMES:
+        raise ConfigError(f"{VARIABLE} = '{wanted}' is no backend; allowed: {', '.join(NAMES)}")
     chosen = llvm.preset_library() if "drjit" in sys.modules else _choose_library(wanted)
     dr = cast("Any", importlib.import_module("drjit"))
     if wanted != "llvm" and dr.has_backend(dr.JitBackend.CUDA):

@@ -66,7 +66,10 @@ def collect(smoke: Smoke | None = None) -> Facts:
     elif backend.get("backend") == "cuda":
         compute = "CUDA"
     else:
-        compute = "none: CUDA is asked for and no device is found" if _only_cuda(backend) else "none that is fit"
+        compute = {
+            "cuda": "none: CUDA is asked for and no device is found",
+            "unknown": f"none: {backends.VARIABLE} names none",
+        }.get(_asked_for(), "none that is fit")
     rows = [
         ("mvla-sim", program_version()),
         ("backend", compute),
@@ -113,17 +116,23 @@ def _crash_report(code: int, errors: str, backend: Mapping[str, Any]) -> str:
     lines = [line.strip() for line in errors.splitlines() if line.strip()]
     words = next((line for line in lines if "ERROR" in line), lines[-1] if code >= 0 and lines else "")
     words = f" ({words[:120]})" if words else ""
-    if code < 0 and not _only_cuda(backend):
+    if code < 0 and _uses_libllvm(backend):
         return f"the smoke trace {how}{words} with {_library(backend)}: {llvm.remedy()}"
     return f"the smoke trace {how}{words}: reinstall mvla-sim in a fresh virtual environment"
 
 
 def _library(backend: Mapping[str, Any]) -> str:
     if not backend.get("libllvm_version"):
-        return "not used" if _only_cuda(backend) else "no fit libLLVM"
+        return "no fit libLLVM" if _uses_libllvm(backend) else "not used"
     return f"{backend['libllvm_version']}, {backend['libllvm'] or 'file unknown'} ({backend['origin']})"
 
 
-def _only_cuda(backend: Mapping[str, Any]) -> bool:
-    """Whether libLLVM is out of the question: CUDA is in use, or was asked for."""
-    return bool(backend.get("backend", os.environ.get(backends.VARIABLE)) == "cuda")
+def _uses_libllvm(backend: Mapping[str, Any]) -> bool:
+    """Whether libLLVM is in use, or was looked for; not where CUDA is in use or asked for, or no known backend is."""
+    return backend.get("backend", _asked_for()) in ("auto", "llvm")
+
+
+def _asked_for() -> str:
+    """The backend that the environment names: "auto" where it names none, "unknown" where it names no backend."""
+    wanted = os.environ.get(backends.VARIABLE) or "auto"
+    return wanted if wanted in backends.NAMES else "unknown"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 from shapely.geometry.base import BaseGeometry
 
-from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.errors import ConfigError, DataError, check_argument
 from mvla_sim.grid import VoxelGrid
 
 __all__ = ["Box", "bounding_box", "box_of_outline", "largest_parts"]
@@ -81,6 +81,8 @@ def bounding_box(occupied: NDArray[np.bool_], grid: VoxelGrid, keep_area: float 
     ConfigError
         ``keep_area`` is not in (0, 1].
     """
+    check_argument("occupied", occupied, np.ndarray, "an image has one")
+    check_argument("grid", grid, VoxelGrid, "an image has one")
     if occupied.shape != grid.shape:
         raise DataError(f"bounding box: occupied has shape {occupied.shape}, the grid {grid.shape}")
     if not 0 < keep_area <= 1:

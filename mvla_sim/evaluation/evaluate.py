@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat
 
-from mvla_sim.errors import DataError
+from mvla_sim.errors import DataError, check_argument
 from mvla_sim.evaluation.candidates import chamfer_table
 from mvla_sim.evaluation.ground_truth import check_inside, rasterize
 from mvla_sim.evaluation.metrics import Scores, score
@@ -139,7 +139,9 @@ def evaluate(
     ConfigError
         Thresholds that the method does not know.
     """
-    settings = settings or EvaluationSettings()
+    check_argument("image", image, Image, "see reconstruct")
+    settings = EvaluationSettings() if settings is None else settings
+    check_argument("settings", settings, EvaluationSettings, "make one")
     if geometry is None:
         truth = ground_truth(image, settings)
         geometry = TruthGeometry.build(truth, image.grid)

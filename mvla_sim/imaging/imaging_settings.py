@@ -48,7 +48,10 @@ def _method_name(value: Any) -> Any:
     if callable(value) and not isinstance(value, str):
         return functions.named(value)
     if isinstance(value, str):
-        METHODS.find(value)
+        try:
+            METHODS.find(value)
+        except ConfigError as error:  # the key and the name are told anyway
+            raise ValueError(str(error).removeprefix(f"method = '{value}': ")) from error
     return value
 
 

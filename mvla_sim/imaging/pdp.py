@@ -13,7 +13,7 @@ from mvla_sim.channel.cir import Cir
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.constants import range_resolution, range_to_delay
 from mvla_sim.dsp import Window, path_spectrum, range_profiles
-from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.errors import ConfigError, DataError, check_argument
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.memory import check_memory
 from mvla_sim.scene.views import Views
@@ -144,6 +144,8 @@ def compute_pdp(
     The inverse FFT is zero-padded to the oversampled axis and divided by Σ W. Paths outside gate and margin are left
     out, as range gating before the transform would.
     """
+    check_argument("channel", channel, Cir | FrequencyResponse, "for a file: load_channel")
+    check_argument("settings", settings, PdpSettings, "make one")
     numbers = np.arange(channel.n_view) if only is None else only
     window = Window(settings.window, settings.kaiser_beta)
     resolution = range_resolution(channel.bandwidth_hz)

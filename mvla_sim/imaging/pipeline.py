@@ -16,7 +16,7 @@ from mvla_sim.channel.loading import Channel
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.constants import range_resolution
 from mvla_sim.engine.provenance import provenance
-from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.errors import ConfigError, DataError, check_argument
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.image import Image
@@ -344,8 +344,7 @@ def reconstruct(
 def _given(settings: ImagingSettings | None, method: Any, values: dict[str, Any]) -> ImagingSettings:
     if settings is None:
         return imaging_settings(method=method, **values)
-    if not isinstance(settings, ImagingSettings):
-        raise ConfigError(f"settings: {type(settings).__name__} is no ImagingSettings; see imaging_settings")
+    check_argument("settings", settings, ImagingSettings, "see imaging_settings")
     if method is not None or values:
         names = ", ".join([*(["method"] if method is not None else []), *values])
         raise ConfigError(f"settings are given, and {names} beside them; give one or the other")
@@ -354,6 +353,5 @@ def _given(settings: ImagingSettings | None, method: Any, values: dict[str, Any]
 
 def _started(channel: Channel, settings: ImagingSettings) -> Pipeline:
     """The stages behind the profiles of the views that an image needs."""
-    if not isinstance(channel, Channel):
-        raise ConfigError(f"channel: {type(channel).__name__} is no channel; for a file: load_channel")
+    check_argument("channel", channel, Channel, "for a file: load_channel")
     return Pipeline(profile_channel(channel, settings, views_needed(channel.views, settings)))

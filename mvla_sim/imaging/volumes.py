@@ -11,8 +11,8 @@ import trimesh
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.files import atomic_output
+from mvla_sim.errors import ConfigError, DataError, check_argument
+from mvla_sim.files import as_path, atomic_output
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
 
@@ -105,7 +105,8 @@ def export_image(image: Image, path: str | os.PathLike[str]) -> Path:
     OutputError
         The file cannot be written.
     """
-    target = Path(path)
+    check_argument("image", image, Image, "see reconstruct")
+    target = as_path(path)
     suffix = target.suffix.lower()
     if suffix not in EXPORT_SUFFIXES:
         given = f"suffix '{target.suffix}'" if target.suffix else "no suffix"

@@ -22,9 +22,10 @@ from mvla_sim.channel.importing import ImportSettings, import_channel, resolve_f
 from mvla_sim.channel.loading import Channel
 from mvla_sim.channel.simulate import simulate
 from mvla_sim.channel.synthesis import SynthesisSettings, synthesize, write_sweeps
-from mvla_sim.errors import OutputError
+from mvla_sim.errors import OutputError, check_argument
 from mvla_sim.evaluation.boxes import Box, bounding_box, box_of_outline, largest_parts
 from mvla_sim.evaluation.evaluate import Evaluation, EvaluationSettings, evaluate
+from mvla_sim.files import as_path
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.imaging_settings import ImagingSettings
@@ -180,6 +181,8 @@ def process(settings: ProcessSettings, folder: Path) -> Processed:
     MvlaError
         As the stages do.
     """
+    check_argument("settings", settings, ProcessSettings, "see load_process")
+    folder = as_path(folder)
     seconds: dict[str, float] = {}
     if settings.scene is not None:
         with _timed(seconds, "tracing"):

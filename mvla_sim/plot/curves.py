@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
-from mvla_sim.errors import DataError
+from mvla_sim.errors import DataError, check_argument
 from mvla_sim.imaging.method import title_of
 from mvla_sim.plot.drawing import Panel
 from mvla_sim.plot.style import COLORS, MAPS, SINGLE_COLUMN_IN, figure_legend, figure_style, new_figure
@@ -78,6 +78,7 @@ def plot_curves(
         The table is empty, lacks a column, or has an x twice in one line or, on a logarithmic axis, one not above 0; or
         only one edge of a band is given.
     """
+    check_argument("table", table, pd.DataFrame, "see load_table")
     keys = [key for key in (by, style) if key is not None]
     if (low is None) != (high is None):
         raise DataError(f"curves: low = {low}, high = {high}; a band needs both")

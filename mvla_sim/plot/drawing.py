@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from mvla_sim.errors import DataError, MvlaError
+from mvla_sim.errors import DataError, MvlaError, check_argument
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.method import METHODS, Method, title_of
@@ -53,6 +53,7 @@ def view_count(count: int) -> str:
 
 def check_mask(mask: Bits, grid: VoxelGrid | None, name: str) -> None:
     """Raise DataError for a mask without a grid or of another shape than its grid."""
+    check_argument(name, mask, np.ndarray, "an array [nz, ny, nx] of bool")
     if grid is None:
         raise DataError(f"picture: {name} of shape {mask.shape} comes without its grid")
     if mask.shape != grid.shape:
@@ -61,6 +62,7 @@ def check_mask(mask: Bits, grid: VoxelGrid | None, name: str) -> None:
 
 def check_image(image: Image, truth: Bits | None, occupied: Bits | None, layer: int | None) -> None:
     """Raise DataError for masks that do not fit an image's grid, and a layer it does not have."""
+    check_argument("image", image, Image, "see reconstruct")
     for name, mask in (("truth", truth), ("occupied", occupied)):
         if mask is not None:
             check_mask(mask, image.grid, name)

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from mvla_sim.errors import DataError
+from mvla_sim.errors import DataError, check_argument
 from mvla_sim.evaluation.boxes import Box
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.method import title_of
@@ -63,8 +63,8 @@ def plot_image(
         ``truth`` or ``occupied`` is not of the grid's shape, the grid has no such layer, or there are more or fewer
         axes than panels.
     """
-    occupied = image.occupied if occupied is None else occupied
     drawing.check_image(image, truth, occupied, layer)
+    occupied = image.occupied if occupied is None else occupied
     index = image.grid.shape[0] // 2 if layer is None else layer
     shown = {"Score": image.score, "Angular support": image.support_deg, "Binary image": occupied}
     names = [name for name, values in shown.items() if values is not None]
@@ -137,6 +137,8 @@ def plot_comparison(
     DataError
         There is no row, the lists are not equally long, or an array is not of its grid's shape.
     """
+    for name, given in (("images", images), ("truths", truths), ("occupied", occupied), ("labels", labels)):
+        check_argument(name, given, list | tuple, "one a row")
     lengths = [len(images), len(truths), len(occupied), len(labels), *([] if captions is None else [len(captions)])]
     if not lengths[0] or len(set(lengths)) > 1:
         raise DataError(

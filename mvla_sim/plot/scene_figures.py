@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from mvla_sim.dataset.access import Sample
-from mvla_sim.errors import DataError
+from mvla_sim.errors import DataError, check_argument
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.plot import drawing, style
 from mvla_sim.plot.drawing import Bits, Panel
@@ -47,6 +47,7 @@ def plot_scene(
     DataError
         ``truth`` is not of the grid's shape, or comes without a grid.
     """
+    check_argument("scene", scene, Scene, "for a file: Scene.load")
     if truth is not None:
         drawing.check_mask(truth, grid, "truth")
     x, y, _ = scene.views.positions_m.T

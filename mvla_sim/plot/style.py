@@ -6,7 +6,6 @@ import contextlib
 import io
 import os
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, TypeVar
 
 import matplotlib as mpl
@@ -15,8 +14,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from mvla_sim.errors import ConfigError
-from mvla_sim.files import atomic_output
+from mvla_sim.errors import ConfigError, check_argument
+from mvla_sim.files import as_path, atomic_output
 
 __all__ = [
     "COLORS", "DOUBLE_COLUMN_IN", "FIGURE_SUFFIXES", "MAPS", "PNG_DPI", "SINGLE_COLUMN_IN", "Canvas", "Given",
@@ -151,7 +150,8 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     OutputError
         The file cannot be written.
     """
-    target = Path(path)
+    check_argument("figure", figure, Figure, "see plot_image")
+    target = as_path(path)
     suffix = target.suffix.lower()
     if suffix not in FIGURE_SUFFIXES:
         given = f"suffix '{target.suffix}'" if target.suffix else "no suffix"

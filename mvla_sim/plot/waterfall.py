@@ -11,7 +11,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from mvla_sim.errors import DataError
+from mvla_sim.errors import DataError, check_argument
 from mvla_sim.imaging.pdp import Pdp
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.plot.drawing import Panel, angle_axis, angle_cells
@@ -55,6 +55,8 @@ def plot_waterfall(
     DataError
         Profiles, views and peaks are not equally many, no profile holds any power, or the floor is not below 0 dB.
     """
+    check_argument("pdp", pdp, Pdp, "see compute_pdp")
+    check_argument("views", views, Views, "a channel has them")
     if not len(pdp.power) == len(views) == (len(views) if peaks is None else peaks.n_view):
         raise DataError(f"waterfall: {len(pdp.power)} profiles, {len(views)} views"
                         f"{'' if peaks is None else f', peaks of {peaks.n_view} views'}; these must agree")  # fmt: skip

@@ -243,7 +243,7 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
         One line that names the file, the key, its value and what is allowed.
     """
     file = find("scenes", path)
-    data = apply_overrides(read_toml(file, "scene file"), [text.removeprefix("scene.") for text in overrides])
+    data = apply_overrides(read_toml(file, "scene file"), overrides, lambda key: key.removeprefix("scene."))
     objects, radio = data.get("objects"), data.get("radio")
     nodes: list[Any] = [*(objects if isinstance(objects, list) else ()), data.get("trajectory")]
     nodes += [radio.get("antenna")] if isinstance(radio, dict) else []

@@ -18,8 +18,8 @@ from mvla_sim.cluster.interface import Cluster, Finished, Shared, WorkerDiedErro
 from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.engine.cache import cache_url, discard, pull, push
 from mvla_sim.engine.provenance import provenance
-from mvla_sim.errors import MvlaError, OutputError, RuntimeUnfitError, reason
-from mvla_sim.files import atomic_output
+from mvla_sim.errors import MvlaError, OutputError, RuntimeUnfitError, check_argument, reason
+from mvla_sim.files import as_path, atomic_output
 from mvla_sim.imaging.pipeline import Pipeline
 from mvla_sim.interrupt import interruptible
 from mvla_sim.progress import Advance, progress
@@ -89,7 +89,9 @@ def run_experiment(
     RunInterruptedError
         Ctrl-C.
     """
-    return run_plan(expand(settings, Path(folder), limit=None), Path(folder), workers=workers).table
+    check_argument("settings", settings, ExperimentSettings, "see load_experiment")
+    place = as_path(folder)
+    return run_plan(expand(settings, place, limit=None), place, workers=workers).table
 
 
 def run_plan(

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from mvla_sim.errors import DataError
-from mvla_sim.files import atomic_output, existing_file
+from mvla_sim.files import as_path, atomic_output, existing_file
 from mvla_sim.sweep.case import MAP, Case, Row, setting_columns
 
 __all__ = [
@@ -99,7 +99,7 @@ def load_table(folder: str | os.PathLike[str]) -> pd.DataFrame:
 
     Raises DataError: there is none, or it is no table of a sweep.
     """
-    csv, parquet = Path(folder) / FILE, Path(folder) / PARQUET
+    csv, parquet = (as_path(folder) / name for name in (FILE, PARQUET))
     file = existing_file(parquet if parquet.exists() and not csv.exists() else csv, WHAT)
     try:
         if file == parquet:

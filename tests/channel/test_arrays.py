@@ -25,6 +25,8 @@ from mvla_sim.channel.readers.array_files import ArrayFile, read_array_file
 from mvla_sim.channel.readers.arrays import ArrayData, ArrayReader, read_responses
 from mvla_sim.errors import ConfigError, DataError
 
+pytestmark = pytest.mark.usefixtures("quick_children")
+
 N_VIEW, N_AXIS = 4, 6
 RNG = np.random.default_rng(5)
 RESPONSE = RNG.normal(size=(N_VIEW, N_AXIS)) + 1j * RNG.normal(size=(N_VIEW, N_AXIS))
@@ -128,6 +130,7 @@ def read(file, **changes):
 # ----------------------------------------------------------------------------------------------------- every format
 
 
+@pytest.mark.usefixtures("real_children")
 def test_what_is_written_is_read(written):
     data = read(written, angles="phi", positions="at", receivers="at")
     np.testing.assert_array_equal(data.values, RESPONSE)
@@ -355,6 +358,7 @@ def test_a_deflated_bomb_inside_npz_costs_no_memory(tmp_path, monkeypatch):
     assert "the numbers of 'f' need 0.4 GiB, 0.1 GiB are free" in refused(file)
 
 
+@pytest.mark.usefixtures("real_children")
 @pytest.mark.parametrize("name", ["a.h5", "a.mat", "a.nc"])
 def test_a_huge_empty_dataset_is_refused_at_once(tmp_path, name):
     file = tmp_path / name
@@ -375,6 +379,7 @@ def test_a_lying_header_in_a_matlab_file(tmp_path):
     assert "variable 'f' announces shape (1073741824, 1073741824)" in refused(file)
 
 
+@pytest.mark.usefixtures("real_children")
 def test_a_bomb_in_a_matlab_file_is_stopped(tmp_path, monkeypatch):
     """A struct tells its size only while it is read, so the other process has a bound."""
     inner = io.BytesIO()
@@ -392,6 +397,7 @@ def test_a_bomb_in_a_matlab_file_is_stopped(tmp_path, monkeypatch):
 # --------------------------------------------------------------------------------------- what kills the other process
 
 
+@pytest.mark.usefixtures("real_children")
 def test_a_byte_that_crashes_the_library(tmp_path):
     """SciPy takes the code of a data type for the place in a table, unchecked."""
     file = tmp_path / "a.mat"
@@ -403,12 +409,14 @@ def test_a_byte_that_crashes_the_library(tmp_path):
     refused(file)
 
 
+@pytest.mark.usefixtures("real_children")
 def test_a_crash_is_an_error_of_the_file(tmp_path, monkeypatch):
     write_mat(tmp_path / "a.mat")
     monkeypatch.setattr(array_files, "_CHILD", "import os; os.kill(os.getpid(), 11)")
     assert "a.mat: is damaged or not a .mat file (reading it ends with signal 11)" in refused(tmp_path / "a.mat")
 
 
+@pytest.mark.usefixtures("real_children")
 def test_a_hang_is_an_error_of_the_file(tmp_path, monkeypatch):
     write_mat(tmp_path / "a.mat")
     monkeypatch.setattr(array_files, "_PATIENCE_S", 0.0)
@@ -418,6 +426,7 @@ def test_a_hang_is_an_error_of_the_file(tmp_path, monkeypatch):
     assert time.perf_counter() - start < 10
 
 
+@pytest.mark.usefixtures("real_children")
 def test_the_other_process_reads_nothing_beside_the_caller(tmp_path, monkeypatch):
     """A module in the working folder is not taken for one of the libraries."""
     write_hdf5(tmp_path / "a.h5")
@@ -595,14 +604,14 @@ def test_any_header_of_an_array_in_npz_never_crashes(tmp_path_factory, text):
 
 
 @pytest.mark.parametrize("name", [name for name in WRITERS if name != "a.npz"])
-@settings(max_examples=3, deadline=None)  # a process for each; what the libraries do with damage is theirs
+@settings(max_examples=5, deadline=None)  # a process for each; what the libraries do with damage is theirs
 @given(cut=CUTS, changes=CHANGES)
 def test_a_damaged_file_never_crashes(tmp_path_factory, goods, name, cut, changes):
     survives(tmp_path_factory.getbasetemp() / f"damaged-{name}", damaged(goods[name], cut, changes))
 
 
 @pytest.mark.parametrize(("suffix", "start"), [(".mat", b" " * 124 + b"\x00\x01IM"), (".h5", b"\x89HDF\r\n\x1a\n")])
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(content=st.binary(min_size=1, max_size=300))
 def test_any_bytes_never_crash(tmp_path_factory, suffix, start, content):
     survives(tmp_path_factory.getbasetemp() / f"anything{suffix}", start + content)

@@ -39,6 +39,8 @@ from mvla_sim.channel.readers.deepmimo import read_deepmimo
 from mvla_sim.channel.readers.pairs import PairPaths, select_pairs
 from mvla_sim.errors import DataError
 
+pytestmark = pytest.mark.usefixtures("quick_children")
+
 TRANSMITTER = (1.5, -2.0, 10.0)
 CODE = "t000_tx000_r001"
 FORMS = ("npz", "npy", "mat", "plain mat")
