@@ -40,6 +40,7 @@ _DEPTH_WEIGHT, _DEPTH_DB = 2.0, 6.0
 _PLACE_WEIGHT, _PLACE_CELLS = 1.0, 4.0
 _TABLE_WEIGHT, _TABLE_RATIO = 4.0, 4.0
 _WIDE_M2 = 400.0
+_HOLDS: Final = {"holds": 1.0, "does not hold": 0.0, "not tested": float("nan")}
 
 
 def reading_score(table: pd.DataFrame) -> dict[str, float]:
@@ -58,7 +59,8 @@ def reading_score(table: pd.DataFrame) -> dict[str, float]:
         ``gap_db``, ``kappa``, ``eta``: depth of J at the paper's point, and where its minimum is. ``table_error``: mean
         of |ours/paper − 1| over the 15 thresholds, with p on whichever grid is nearer; ``table_error_own`` and
         ``table_error_wide``, with p on the reading's own grid, and on the one as wide as the trajectory. The thresholds
-        themselves: ``mvla_area_20db`` (m²) and so on. ``margin_c1`` … ``margin_c13``. NaN: could not be told.
+        themselves: ``mvla_area_20db`` (m²) and so on. ``margin_c1`` … ``margin_c13``, and ``holds_c1`` …, 1 or 0. NaN:
+        could not be told.
     """
     tables = tables_of(table)
     claims = [claim for claim in judge(tables) if claim.number in UNITS]
@@ -70,6 +72,7 @@ def reading_score(table: pd.DataFrame) -> dict[str, float]:
         **_minimum(tables.kappa_eta),
         **_thresholds(tables.star_optimal),
         **{f"margin_{claim.number.lower()}": claim.margin for claim in claims},
+        **{f"holds_{claim.number.lower()}": _HOLDS[claim.verdict] for claim in claims},
     }
     if tables.kappa_eta is not None:
         total += _DEPTH_WEIGHT * _share(figures["gap_db"], _DEPTH_DB)
