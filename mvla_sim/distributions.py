@@ -1,4 +1,4 @@
-"""Settings that may be one value, or a distribution that a value is drawn from: uniform, or a list of choices."""
+"""Settings that may be one value, or a distribution that a value is drawn from: an interval, or a list of choices."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import operator
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -22,12 +22,13 @@ from pydantic_core import CoreSchema, core_schema
 from mvla_sim.settings import Settings
 
 __all__ = [
-    "DECIMALS", "Choice", "Drawn", "Listed", "Real", "TextChoice", "Uniform", "Weight", "Whole", "WholeChoice",
-    "WholeUniform", "bounded", "draw", "values_of", "weighted",
+    "DECIMALS", "AnyChoice", "Choice", "Drawn", "Listed", "Real", "Spread", "TextChoice", "Uniform", "Weight", "Whole",
+    "WholeChoice", "WholeUniform", "bounded", "draw", "value_at", "values_of", "weighted",
 ]  # fmt: skip
 
 DECIMALS: Final = 6
-"""Of the numbers that are drawn."""
+"""Of the numbers that are drawn; of a :class:`Spread`, whose values may be tiny, significant digits."""
+MOST_STEPS: Final = 1_000_000
 
 Weight = Annotated[float, Field(gt=0, le=1e12)]
 Weights = Annotated[tuple[Weight, ...] | None, Field(description="by default all choices are equally likely")]
@@ -81,6 +82,46 @@ class TextChoice(Choice):
     choices: Annotated[tuple[str, ...], Field(min_length=1)]  # type: ignore[assignment]
 
 
+class Spread(Uniform):
+    """Any value from ``min`` to ``max``, evenly in the value or in its logarithm; with a step only whole steps.
+
+    With a step all of ``min``, ``min + step`` … up to ``max`` are equally likely; whole numbers where all three are.
+    """
+
+    min: int | float
+    max: int | float
+    scale: Literal["linear", "log"] = "linear"
+    step: Annotated[int | float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _check_scale(self) -> Self:
+        if self.scale == "log" and self.step is not None:
+            raise ValueError("scale = 'log' and step exclude each other")
+        if self.scale == "log" and self.min <= 0:
+            raise ValueError(f"min = {self.min:g} with scale = 'log': must be above 0")
+        if self.step is not None and not 1 <= (self.max - self.min) / self.step <= MOST_STEPS:
+            raise ValueError(f"step = {self.step:g} does not fit between min = {self.min:g} and max = {self.max:g}")
+        return self
+
+    def at(self, share: float) -> int | float:
+        """The value below which a share of all lies."""
+        if self.step is not None:
+            count = math.floor((self.max - self.min) / self.step + 1e-9) + 1
+            value = self.min + self.step * min(int(share * count), count - 1)
+            return value if isinstance(value, int) else float(f"{value:.12g}")  # 0.3, not 0.30000000000000004
+        if self.scale == "log":
+            value = self.min * (self.max / self.min) ** share
+        else:
+            value = self.min + (self.max - self.min) * share
+        return min(max(float(f"{value:.{DECIMALS}g}"), float(self.min)), float(self.max))
+
+
+class AnyChoice(Choice):
+    """One of the values listed: numbers, texts, true or false."""
+
+    choices: Annotated[tuple[bool | int | float | str | None, ...], Field(min_length=1)]  # type: ignore[assignment]
+
+
 class Drawn:
     """Annotation of a setting that is one value, or a table of a distribution: ``{min, max}`` or ``{choices}``."""
 
@@ -132,11 +173,18 @@ def values_of(distribution: Any) -> tuple[Any, ...]:
 
 
 def draw(distribution: Any, random: np.random.Generator) -> Any:
-    """A value of a distribution, lengths and angles to six decimals; one number is taken whatever its kind.
+    """A value of a distribution; one number is taken whatever its kind."""
+    return value_at(distribution, random.random())
 
+
+def value_at(distribution: Any, share: float) -> Any:
+    """The value of a distribution at a share from 0 to 1 of its probability, lengths and angles to six decimals.
+
+    It is the inverse of the cumulative distribution; choices have their weights' shares in the order of the list.
     Rounding makes the value the same on machines whose arithmetic differs in the last bit.
     """
-    share = random.random()
+    if isinstance(distribution, Spread):
+        return distribution.at(share)
     if isinstance(distribution, WholeUniform):
         return min(distribution.min + int(share * (distribution.max - distribution.min + 1)), distribution.max)
     if isinstance(distribution, Uniform):

@@ -89,6 +89,7 @@ class Kinds(Generic[K]):
         """Ways to make a class of a name and of what an entry point offers that is none."""
         self._classes: dict[str, type[K]] = {}
         self._complete = False
+        self._own: tuple[type[K], ...] | None = None
 
     def name_of(self, cls: type[Kind]) -> str | None:
         """The name a class is found by; None for a base of others."""
@@ -112,6 +113,7 @@ class Kinds(Generic[K]):
         if known is not None and not same and known.__module__.startswith(OWN):
             raise ConfigError(f"{self.what} '{name}' is one of mvla-sim's own; give {cls.__qualname__} another name")
         self._classes[name] = cls
+        self._own = None
 
     def names(self) -> tuple[str, ...]:
         """Names of all: this package's, those defined while it runs, those that installed packages offer."""
@@ -121,8 +123,10 @@ class Kinds(Generic[K]):
     def own(self) -> tuple[type[K], ...]:
         """This package's classes, by name."""
         self._load_own()
-        found = sorted(self._classes.items())
-        return tuple(cls for _, cls in found if cls.__module__.startswith(OWN))
+        if self._own is None:  # asked for with every validation
+            found = sorted(self._classes.items())
+            self._own = tuple(cls for _, cls in found if cls.__module__.startswith(OWN))
+        return self._own
 
     def installed(self) -> tuple[type[K], ...]:
         """This package's classes, then those that installed packages offer; without those that cannot be imported."""

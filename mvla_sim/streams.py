@@ -23,6 +23,7 @@ class Stream(IntEnum):
     JITTER = 9
     LOSS = 10
     CLUTTER = 11
+    DESIGN = 12
 
 
 def stream(seed: int, name: Stream, *key: int) -> np.random.Generator:

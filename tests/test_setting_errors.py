@@ -14,7 +14,7 @@ from mvla_sim.errors import ConfigError, MvlaError
 from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
 from mvla_sim.imaging.methods import functions
 from mvla_sim.settings import parse
-from mvla_sim.sweep.experiment import dotted_key
+from mvla_sim.sweep.axes import dotted_key
 
 GRID = mv.VoxelGrid((0.0, 0.0, 0.0), (4, 4, 1), 0.1)
 IMAGE = mv.Image(np.zeros(GRID.shape, np.float32), None, GRID, "bp", 1)

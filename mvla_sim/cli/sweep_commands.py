@@ -116,9 +116,12 @@ def _show_survey(plan: Plan, found: Survey, workers: int) -> None:
     """Print what a run would do: cases by axis, what is stored and cached, and about how long it takes."""
     table = Table("axis", "values", "", title=plan.experiment.name)
     table.add_row("scene", str(len(plan.names)), ", ".join(plan.names))
-    for axis, values in plan.experiment.axes.items():
-        count = "" if values == ("all",) else str(len(values))
-        table.add_row(axis, count, ", ".join("none" if value is None else str(value) for value in values))
+    for number, (part, axes) in enumerate(plan.experiment.products(), 1):
+        if part is not None:
+            table.add_row(f"part {part.name or number}", "", "")
+        for axis, values in axes.items():
+            count = "" if values == ("all",) else str(len(values))
+            table.add_row(axis, count, ", ".join("none" if value is None else str(value) for value in values))
     show(table)
     again = f", of which {found.failed} failed before" if found.failed else ""
     say(f"cases:    {found.cases}; {found.done} stored, {found.cases - found.done} to run{again}")
@@ -151,8 +154,8 @@ def _show_table(plan: Plan, result: RunResult) -> None:
     from mvla_sim.sweep.table import AVERAGED, averaged
 
     table, name = result.table, plan.experiment.name
-    variant = ["variant"] if "variant" in table else []
-    axes = ["scene", *variant, *(axis for axis in plan.experiment.axes if axis not in AVERAGED)]
+    labels = [name for name in ("variant", "part") if name in table]
+    axes = ["scene", *labels, *(axis for axis in plan.swept if axis not in AVERAGED)]
     shown = averaged(table, axes)
     if len(shown) > MOST_ROWS or "cd_db" not in shown:
         say(f"{name}: {len(table)} cases")

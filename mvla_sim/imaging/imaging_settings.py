@@ -94,9 +94,9 @@ class ImagingSettings(Settings):
                 _refuse(key, "model_type", f"must be a table of settings of {model.name}", value)
             else:
                 blocks[key] = _block(key, model, value, info)
-        for model in (*METHODS.own(), METHODS.find(self.method)):
-            key = model.block_name()
-            if model.model_fields and key not in blocks:
+        chosen = METHODS.find(self.method)
+        for key, model in (*METHODS.tables().items(), (chosen.block_name(), chosen)):
+            if key not in blocks and model.model_fields:
                 blocks[key] = _block(key, model, {}, info)
         object.__setattr__(self, "__pydantic_extra__", dict(sorted(blocks.items())))
         return self

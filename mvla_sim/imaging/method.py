@@ -21,6 +21,14 @@ class MethodKinds(Kinds["Method"]):
         super().__init__(*arguments, **options)
         self.of_files: dict[str, type[Method]] = {}
         """Functions of files that were asked for, by name."""
+        self._tables: tuple[tuple[type[Method], ...], dict[str, type[Method]]] = ((), {})
+
+    def tables(self) -> dict[str, type[Method]]:
+        """This package's methods by the names of their tables."""
+        own = self.own()
+        if self._tables[0] is not own:  # asked for with every validation
+            self._tables = (own, {method.block_name(): method for method in reversed(own)})
+        return self._tables[1]
 
     def block(self, key: str, chosen: str) -> type[Method] | None:
         """The method whose settings stand under ``[imaging.KEY]``; None for none's.
@@ -32,9 +40,11 @@ class MethodKinds(Kinds["Method"]):
         ConfigError
             As :meth:`find`, of the method that is chosen.
         """
-        for method in (self.find(chosen), *self.own()):
-            if method.block_name() == key:
-                return method
+        method = self.find(chosen)
+        if method.block_name() == key:
+            return method
+        if key in self.tables():
+            return self.tables()[key]
         # Sweeps have the settings of several.
         others = [*self.of_files.values(), *([self.find(key)] if key in self.names() else [])]
         return next((method for method in others if method.block_name() == key), None)

@@ -99,7 +99,7 @@ def plot_robustness(
 
 def draw_robustness(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
     """Draw CD and F1 against each impairment, a figure a scene, where impairments are swept."""
-    swept = [*plan.experiment.axes, *(key for variant in plan.experiment.variants for key in variant.set)]
+    swept = [*plan.swept, *(key for variant in plan.experiment.variants for key in variant.set)]
     if not any(key.startswith(BLOCK) for key in swept):
         return []
     centimetres = f"{100 * max(plan.experiment.evaluation.distances_m):g}"

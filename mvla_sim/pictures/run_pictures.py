@@ -73,8 +73,9 @@ def _draw_channel(plan: Plan, channel: str, folder: Path) -> list[Path]:
 def _draw_curve(plan: Plan, table: pd.DataFrame, folder: Path) -> list[Path]:
     """Draw CD against the interval where that is all that varies, beside method, offset and seed."""
     axes = ["interval_deg", "method"]
-    others = [a for a in plan.experiment.axes if a not in (*axes, *AVERAGED)]
-    if others or len(plan.names) > 1 or not {*axes, "cd_db"} <= set(table) or table["interval_deg"].nunique() < 2:
+    others = [a for a in plan.swept if a not in (*axes, *AVERAGED)]
+    several = others or plan.experiment.parts or len(plan.names) > 1
+    if several or not {*axes, "cd_db"} <= set(table) or table["interval_deg"].nunique() < 2:
         return []
     figure = plot_curves(
         averaged(table, axes),

@@ -17,7 +17,8 @@ from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.evaluation.candidates import best_pair, unpack_table
 from mvla_sim.files import existing_file
 from mvla_sim.imaging.threshold_rules.given import GivenThresholds
-from mvla_sim.sweep.experiment import CalibrationSettings, dotted_key
+from mvla_sim.sweep.axes import dotted_key
+from mvla_sim.sweep.experiment import CalibrationSettings
 from mvla_sim.sweep.table import MAPS, RECORD, load_maps, load_table
 
 __all__ = ["Calibration", "average_thresholds", "least_mean_thresholds"]
@@ -135,9 +136,13 @@ def _axes(source: Path) -> list[str]:
     """Names of the axes that a finished experiment had."""
     file = existing_file(source / RECORD, "record of an experiment")
     try:
-        return list(json.loads(file.read_text(encoding="utf-8"))["settings"]["axes"])
-    except (ValueError, KeyError, TypeError) as error:
+        settings = json.loads(file.read_text(encoding="utf-8"))["settings"]
+        axes, others = list(settings["axes"]), settings.get("parts") or settings.get("design")
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise DataError(f"{file}: not a record of an experiment ({error!r})") from error
+    if others:
+        raise ConfigError(f"calibration: {source} has parts or a design; calibrate with an experiment of axes alone")
+    return axes
 
 
 def _normal(value: Any) -> str | None:

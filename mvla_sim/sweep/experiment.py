@@ -3,55 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Final, Literal
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from mvla_sim.evaluation.evaluate import EvaluationSettings
-from mvla_sim.imaging.imaging_settings import SHORT_NAMES, ImagingSettings
+from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.method import METHODS
 from mvla_sim.imaging.methods.functions import names_a_file
 from mvla_sim.imaging.reading import on_reading
-from mvla_sim.scene.world import SceneSettings
 from mvla_sim.settings import Settings, apply_overrides, parse, read_toml, resolve_beside
 from mvla_sim.shipped import find
+from mvla_sim.sweep.axes import Axes, AxisValue, Name, PartSettings, dotted_key, shared
+from mvla_sim.sweep.design import DesignSettings
 
-__all__ = [
-    "ALL", "OFFSET", "AxisValue", "CalibrationSettings", "ExperimentSettings", "VariantSettings", "dotted_key",
-    "load_experiment",
-]  # fmt: skip
-
-AxisValue = bool | int | float | str | None
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w-]*$")]
-
-ALL = "all"
-"""The value of the axis ``offset`` that stands for every offset of a case's interval."""
-
-BLOCKS: Final[Mapping[str, type[Settings]]] = {
-    "imaging": ImagingSettings,
-    "evaluation": EvaluationSettings,
-    "scene": SceneSettings,
-}
-"""Whose settings may be swept, by the first part of a dotted key."""
-
-OFFSET = f"imaging.{SHORT_NAMES['offset']}"
-"""The full dotted key of ``offset``."""
-
-
-def dotted_key(axis: str) -> str | None:
-    """Full dotted key of the setting that an axis names; None where it has the form of none.
-
-    ``kappa``, ``mvla.kappa`` and ``imaging.mvla.kappa`` are one.
-    """
-    if axis in SHORT_NAMES:
-        return f"imaging.{SHORT_NAMES[axis]}"
-    block, _, rest = axis.partition(".")
-    if block in BLOCKS:
-        return axis if rest else None
-    if axis in ("plane_height_m", "outline"):
-        return f"scene.{axis}"
-    return next((f"{owner}.{axis}" for owner, model in BLOCKS.items() if rest and block in model.model_fields), None)
+__all__ = ["CalibrationSettings", "ExperimentSettings", "VariantSettings", "load_experiment"]
 
 
 class CalibrationSettings(Settings):
@@ -112,7 +79,8 @@ class ExperimentSettings(Settings):
 
     An axis is a short name (``snr_db``, ``interval_deg``, ``offset``, ``seed``, ``method``, ``kappa``, ``eta``, …) or a
     dotted key that begins with ``imaging.``, ``evaluation.`` or ``scene.``; cases are the product of all axes.
-    ``offset = "all"`` stands for every offset of a case's interval. With variants, the whole product is run for each.
+    ``offset = "all"`` stands for every offset of a case's interval. With parts, the cases are the products of each
+    part's scenes and axes. With variants, all that is run for each of them; with a design, for each of its samples.
     """
 
     name: Name = Field(description="of the results' folder")
@@ -126,59 +94,80 @@ class ExperimentSettings(Settings):
     imaging: ImagingSettings = ImagingSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     calibration: CalibrationSettings | None = Field(None, description="thresholds from another experiment's table")
-    axes: dict[str, tuple[AxisValue, ...]] = Field(
+    axes: Axes = Field(
         default_factory=dict, description="lists of values by dotted key or short name; cases are their product"
     )
+    parts: tuple[PartSettings, ...] = Field((), description="parts with axes, and scenes, of their own")
+    design: DesignSettings | None = Field(None, description="many settings varied at once, instead of variants")
     variants: tuple[VariantSettings, ...] = Field((), description="or the name of a TOML file that lists them")
     show: tuple[dict[str, AxisValue], ...] = Field((), description="cases of which pictures are drawn, by axis value")
 
-    @field_validator("axes")
-    @classmethod
-    def _check_axes(cls, axes: dict[str, tuple[AxisValue, ...]]) -> dict[str, tuple[AxisValue, ...]]:
-        keys: dict[str, str] = {}
-        for axis, values in axes.items():
-            key = dotted_key(axis)
-            if key is None:
-                raise ValueError(
-                    f"'{axis}' names no setting; allowed: {', '.join(sorted(SHORT_NAMES))}, or a dotted key that "
-                    f"begins with imaging., evaluation. or scene."
-                )
-            if key in keys:
-                raise ValueError(f"'{axis}' and '{keys[key]}' name the same setting")
-            keys[key] = axis
-            if not values:
-                raise ValueError(f"'{axis}' is empty; give at least one value")
-            seen: set[tuple[bool, AxisValue]] = set()
-            for value in values:
-                if (isinstance(value, bool), value) in seen:  # 1 and 1.0 are one value, 1 and true are not
-                    raise ValueError(f"'{axis}' has {value!r} twice")
-                seen.add((isinstance(value, bool), value))
-            if key == OFFSET and ALL in values and len(values) > 1:
-                raise ValueError(f"'{axis}' has '{ALL}' and other values; give one or the other")
-        return axes
-
     @model_validator(mode="after")
     def _check(self) -> ExperimentSettings:
-        if not (self.scenes or self.channels):
+        if not (self.scenes or self.channels) and not (self.parts and all(part.scenes for part in self.parts)):
             raise ValueError("scenes: give a scene file at least, or channel files in channels")
+        self._check_parts(self.axes, self.parts, "parts")
+        swept = [axis for _, axes in self.products() for axis in axes]
         for wanted in self.show:
             for key in wanted:
-                if key != "scene" and key not in self.axes:
-                    allowed = ", ".join(["scene", *self.axes])
+                if key not in ("scene", *swept):
+                    allowed = ", ".join(dict.fromkeys(["scene", *swept]))
                     raise ValueError(f"show: '{key}' is no axis of this experiment; allowed: {allowed}")
         labels = [variant.label for variant in self.variants]
         for variant in self.variants:
             if labels.count(variant.label) > 1:
                 raise ValueError(f"variants: the label '{variant.label}' is used twice")
-            swept = {dotted_key(key) for key in variant.set} & {dotted_key(axis) for axis in self.axes}
-            if swept:
-                names = ", ".join(sorted(map(str, swept)))
-                raise ValueError(f"variants: '{variant.label}' sets {names}, which is an axis")
-        thresholds = [axis for axis in self.axes if axis.startswith("evaluation.threshold")]
+            if taken := shared(variant.set, swept):
+                raise ValueError(f"variants: '{variant.label}' sets {dotted_key(taken)}, which is an axis")
+        if self.design is not None:
+            self._check_design(self.design)
+            swept += self.design.keys
+        thresholds = [axis for axis in swept if axis.startswith("evaluation.threshold")]
         if self.calibration and (thresholds or self.evaluation.threshold is not None):
             given = f"axes.{thresholds[0]}" if thresholds else "evaluation.threshold"
             raise ValueError(f"calibration and {given} both give thresholds; keep one")
         return self
+
+    def _check_parts(self, axes: Axes, parts: Sequence[PartSettings], where: str) -> None:
+        names = [part.name or str(number) for number, part in enumerate(parts, 1)]
+        for number, part in enumerate(parts):
+            if names.count(names[number]) > 1:
+                raise ValueError(f"{where}: the name '{names[number]}' is used twice")
+            if not (part.scenes or self.scenes or self.channels):
+                raise ValueError(f"{where}[{number}].scenes: give a scene file at least, for the experiment has none")
+            if taken := shared(part.axes, axes):
+                raise ValueError(f"{where}[{number}].axes: '{taken}' is an axis of all parts already")
+
+    def _check_design(self, design: DesignSettings) -> None:
+        if self.variants or self.show:
+            which = "variants" if self.variants else "show"
+            raise ValueError(f"{which} and design: an experiment with a design has no {which}; keep one")
+        for number, one in enumerate(design.rounds):
+            self._check_parts(one.axes or {}, one.parts or (), f"design.rounds[{number}].parts")
+        for number in range(max(1, len(design.rounds))):
+            whole = self.of_round(number)
+            if not (whole.scenes or whole.channels) and not (whole.parts and all(part.scenes for part in whole.parts)):
+                raise ValueError(f"design.rounds[{number}]: has no scenes; give its parts some")
+            swept = [axis for _, axes in whole.products() for axis in axes]
+            if taken := shared(design.keys, swept):
+                raise ValueError(f"design: '{taken}' is a setting of the design, and an axis")
+            if design.rounds and (taken := shared(design.rounds[number].overrides, swept)):
+                raise ValueError(f"design.rounds[{number}].overrides: '{taken}' is an axis of that round")
+
+    def products(self) -> Iterator[tuple[PartSettings | None, dict[str, tuple[AxisValue, ...]]]]:
+        """Each part with all its axes, the shared ones first; without parts the axes alone."""
+        if not self.parts:
+            yield None, self.axes
+        for part in self.parts:
+            yield part, {**self.axes, **part.axes}
+
+    def of_round(self, number: int) -> ExperimentSettings:
+        """The experiment with the axes and parts of a round of its design, by number from 0, and no design."""
+        rounds = self.design.rounds if self.design is not None else ()
+        update: dict[str, Any] = {"design": None}
+        if number < len(rounds) and (rounds[number].axes, rounds[number].parts) != (None, None):
+            update |= {"axes": rounds[number].axes or {}, "parts": rounds[number].parts or ()}
+        return self.model_copy(update=update)
 
 
 def _full_key(key: str) -> str:
@@ -196,8 +185,15 @@ def load_experiment(path: str | os.PathLike[str], overrides: Sequence[str] = ())
     """
     file = find("experiments", path)
     data: dict[str, Any] = apply_overrides(read_toml(file, "experiment file"), overrides, _full_key)
-    if isinstance(data.get("scenes"), list):
-        data["scenes"] = [str(find("scenes", s, file.parent)) if isinstance(s, str) else s for s in data["scenes"]]
+    tables = [data, *_tables(data.get("parts")), *_tables(data.get("design"))]
+    for one in _tables(data.get("design")):
+        tables += [inner for each in _tables(one.get("rounds")) for inner in (each, *_tables(each.get("parts")))]
+    for table in tables:
+        if isinstance(table.get("scenes"), list):
+            table["scenes"] = [
+                str(find("scenes", s, file.parent)) if isinstance(s, str) else s for s in table["scenes"]
+            ]
+        _find_methods(table)
     if isinstance(data.get("channels"), list):
         data["channels"] = [resolve_beside(c, file.parent) if isinstance(c, str) else c for c in data["channels"]]
     if isinstance(data.get("truth"), str):
@@ -205,15 +201,23 @@ def load_experiment(path: str | os.PathLike[str], overrides: Sequence[str] = ())
     if isinstance(data.get("variants"), str):
         variants = resolve_beside(data["variants"], file.parent)
         data["variants"] = read_toml(variants, "file of variants").get("variants", [])
-    if isinstance(data.get("axes"), dict):
-        for name in data["axes"].get("method", ()):
-            if isinstance(name, str) and names_a_file(name):
-                METHODS.find(name)  # so that [imaging] may have its settings beside those of others
-        data["axes"] = {
-            key: [ALL] if value == ALL and dotted_key(key) == OFFSET else value for key, value in data["axes"].items()
-        }
     if isinstance(data.get("reading"), str):
         if data["reading"].endswith(".toml"):
             data["reading"] = resolve_beside(data["reading"], file.parent)
         data = on_reading(data["reading"], data)
     return parse(ExperimentSettings, data, str(file))
+
+
+def _tables(data: Any) -> list[dict[str, Any]]:
+    """The tables in a list, or the one table; nothing of anything else, which is refused later."""
+    return [item for item in (data if isinstance(data, list) else [data]) if isinstance(item, dict)]
+
+
+def _find_methods(table: dict[str, Any]) -> None:
+    """Find methods of files that are swept, so that [imaging] may have their settings beside those of others."""
+    for one in (*_tables(table.get("axes")), *_tables(table.get("settings")), *_tables(table.get("list"))):
+        named = one.get("method")
+        named = named.get("choices") if isinstance(named, dict) else named
+        for name in named if isinstance(named, list) else [named]:
+            if isinstance(name, str) and names_a_file(name):
+                METHODS.find(name)

@@ -14,8 +14,8 @@ from mvla_sim.engine.machine import program_version
 from mvla_sim.engine.provenance import code_digest
 from mvla_sim.errors import DataError, MvlaError, OutputError
 from mvla_sim.files import locked_folder
+from mvla_sim.sweep.axes import dotted_key
 from mvla_sim.sweep.case import ROW_SCHEMA, Row, flatten
-from mvla_sim.sweep.experiment import dotted_key
 from mvla_sim.sweep.plan import Plan
 
 __all__ = ["FILE", "Store", "identity"]

@@ -21,7 +21,7 @@ from mvla_sim.scene.shapes.cylinder import Cylinder
 from mvla_sim.scene.shapes.polygon import Polygon
 from mvla_sim.scene.shapes.star import Star
 from mvla_sim.scene.world import Scene, SceneSettings
-from mvla_sim.sweep.experiment import dotted_key
+from mvla_sim.sweep.axes import dotted_key
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
 SECTION = 1e-6  # share of the area: what a cross-section may lose by joining points within 1e-7 of the size
