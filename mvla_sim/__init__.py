@@ -108,6 +108,7 @@ if TYPE_CHECKING:
     from mvla_sim.imaging.noises.gaussian import GaussianNoise as GaussianNoise
     from mvla_sim.imaging.observation import Estimate as Estimate
     from mvla_sim.imaging.observation import Observation as Observation
+    from mvla_sim.imaging.paths import PathSettings as PathSettings
     from mvla_sim.imaging.pdp import Pdp as Pdp
     from mvla_sim.imaging.pdp import PdpSettings as PdpSettings
     from mvla_sim.imaging.pdp import compute_pdp as compute_pdp
@@ -215,6 +216,7 @@ _PUBLIC = {
     "imaging.noises.exponential": "ExponentialNoise",
     "imaging.noises.gaussian": "GaussianNoise",
     "imaging.observation": "Estimate Observation",
+    "imaging.paths": "PathSettings",
     "imaging.pdp": "Pdp PdpSettings compute_pdp",
     "imaging.peaks": "PeakDetector Peaks",
     "imaging.pipeline": "observe reconstruct",

@@ -19,6 +19,7 @@ from mvla_sim.imaging.method import METHODS, Method
 from mvla_sim.imaging.methods import functions
 from mvla_sim.imaging.noise import NOISES, Noise
 from mvla_sim.imaging.noises.gaussian import GaussianNoise
+from mvla_sim.imaging.paths import PathSettings
 from mvla_sim.imaging.pdp import PdpSettings
 from mvla_sim.imaging.peaks import DETECTORS, PeakDetector
 from mvla_sim.imaging.reading import on_reading
@@ -68,6 +69,7 @@ class ImagingSettings(Settings):
         "mvla-gr", description="name of a method, or file.py:function"
     )
     grid: GridSettings = GridSettings()
+    paths: PathSettings = PathSettings()
     pdp: PdpSettings = PdpSettings()
     noise: Annotated[Noise, NOISES] = GaussianNoise()
     peaks: Annotated[PeakDetector, DETECTORS] = LocalMaxima()

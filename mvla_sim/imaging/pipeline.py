@@ -23,6 +23,7 @@ from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
 from mvla_sim.imaging.noise import Noise
 from mvla_sim.imaging.observation import FrontEnd, Observation
+from mvla_sim.imaging.paths import PathSettings, choose_paths
 from mvla_sim.imaging.pdp import Pdp, PdpSettings, compute_pdp, gate_for
 from mvla_sim.imaging.peaks import Peaks
 from mvla_sim.imaging.projection import check_grid
@@ -37,12 +38,12 @@ __all__ = [
 ]  # fmt: skip
 
 Value = TypeVar("Value")
-ProfileKey = tuple[ImpairmentSettings | None, PdpSettings, tuple[float, float]]
+ProfileKey = tuple[PathSettings, ImpairmentSettings | None, PdpSettings, tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ProfiledChannel:
-    """A channel behind the first stages: impaired, its profiles computed, no noise added yet.
+    """A channel behind the first stages: its paths chosen, impaired, its profiles computed, no noise added yet.
 
     Attributes
     ----------
@@ -98,13 +99,14 @@ def views_needed(views: Views, settings: ImagingSettings) -> NDArray[np.intp]:
 
 
 def profile_key(settings: ImagingSettings, views: Views) -> ProfileKey:
-    """What decides a channel's profiles before noise: impairments, PDP settings, range gate (near, far) in metres.
+    """What decides a channel's profiles before noise: paths, impairments, PDP settings, range gate [m].
 
     The gate, where false echoes are too, is that of the assumed positions.
     """
     impairments = settings.impairments.of_channel(settings.noise.seed)
     seen = views if impairments is None else assumed_views(views, impairments)
-    return impairments, settings.pdp, gate_for(VoxelGrid.from_settings(settings.grid), seen, settings.pdp)
+    gate_m = gate_for(VoxelGrid.from_settings(settings.grid), seen, settings.pdp)
+    return settings.paths, impairments, settings.pdp, gate_m
 
 
 def profile_channel(
@@ -114,14 +116,14 @@ def profile_channel(
     *,
     with_amplitude: bool = True,
 ) -> ProfiledChannel:
-    """Run the first stages: impairments, then power delay profiles.
+    """Run the first stages: choice of paths, impairments, then power delay profiles.
 
     Parameters
     ----------
     channel
         Paths, frequency responses or components.
     settings
-        Impairments, PDP settings, and the grid, which decides the range gate.
+        Paths, impairments, PDP settings, and the grid, which decides the range gate.
     only
         Views whose profiles are needed, ``[n]`` rising; by default all. It changes no number.
     with_amplitude
@@ -130,13 +132,15 @@ def profile_channel(
     Raises
     ------
     ConfigError
-        An impairment that this kind of channel does not take, or a gate that does not fit the data.
+        A choice of paths or an impairment that this kind of channel does not take, or a gate that does not fit the
+        data.
     DataError
-        No path inside the gate.
+        No path is chosen, or none inside the gate.
     """
-    impairments, pdp_settings, gate_m = profile_key(settings, channel.views)
+    paths, impairments, pdp_settings, gate_m = profile_key(settings, channel.views)
     numbers = np.arange(channel.n_view) if only is None else only
-    seen = channel if impairments is None else impair_channel(channel, impairments, gate_m)
+    seen = choose_paths(channel, paths)
+    seen = seen if impairments is None else impair_channel(seen, impairments, gate_m)
     pdp, components = None, None
     if isinstance(seen, Components):
         components = Peaks(seen.range_m, seen.power, seen.row_size).select(numbers)

@@ -72,7 +72,7 @@ def groups_of(plan: Plan, cases: Sequence[Case], workers: int) -> list[CaseGroup
     keys: dict[object, object] = {}
     for case in cases:
         own = case.imaging.impairments.of_channel(case.imaging.noise.seed)
-        place = (case.channel, case.imaging.pdp, case.imaging.grid, own)
+        place = (case.channel, case.imaging.paths, case.imaging.pdp, case.imaging.grid, own)
         if place not in keys:
             keys[place] = (case.channel, *profile_key(case.imaging, plan.sources[case.channel].views))
         groups.setdefault(keys[place], []).append(case)

@@ -53,7 +53,7 @@ def test_the_error_is_undone_by_nothing_but_the_true_positions():
     """Imaging sees the assumed positions alone: the same image comes of a file that says these."""
     cir = scatterers(POINTS, ring(24))
     chosen = settings(position_error_m=0.03)
-    impairments, _, gate_m = profile_key(chosen, cir.views)
+    _, impairments, _, gate_m = profile_key(chosen, cir.views)
     wrong = impair_channel(cir, impairments, gate_m)
     assert np.array_equal(reconstruct(wrong, settings()).score, reconstruct(cir, chosen).score)
 
