@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.metrics import decibel
+from mvla_sim.evaluation.scan import ScanSettings
 from mvla_sim.evaluation.tuning import TruthGeometry, chamfer_for_prefixes
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
@@ -41,17 +42,25 @@ def best_db(grid: VoxelGrid) -> float:
     return float(decibel((0.1 * grid.spacing_m) ** 2))
 
 
-def chamfer_table(image: Image, geometry: TruthGeometry) -> NDArray[np.float32]:
-    """CD at every pair of candidates, ``[n_support, n_percent]`` dB(m²); one row without angular support."""
+def chamfer_table(image: Image, geometry: TruthGeometry, scan: ScanSettings | None = None) -> NDArray[np.float32]:
+    """CD at every pair of candidates, ``[n_support, n_percent]`` dB(m²); one row without angular support.
+
+    Candidates outside the bounds of a scan are failures; its steps are not these candidates' and are passed over.
+    """
+    scan = scan or ScanSettings()
     counts = np.array([top_count(percent, image.grid.size) for percent in TOP_PERCENTS])
     supports = SUPPORTS_DEG if image.support_deg is not None else (0.0,)
     best, worst = best_db(image.grid), worst_db(image.grid)
     largest = 0.0 if image.support_deg is None else float(image.support_deg.max())
+    inside = counts <= scan.largest_count(image.grid)
+    if scan.max_support_deg is not None:
+        largest = min(largest, scan.max_support_deg)
     table = np.full((len(supports), counts.size), worst, np.float32)  # also where nothing is retained
     for row, support in enumerate(supports):
         if support <= largest:
             curve = chamfer_for_prefixes(image.score, image.support_deg, geometry, support)[counts - 1]
-            table[row] = np.clip(np.nan_to_num(curve, nan=worst, neginf=best), best, worst)
+            values = np.clip(np.nan_to_num(curve, nan=worst, neginf=best), best, worst)
+            table[row] = np.where(inside, values, worst)
     return table
 
 

@@ -15,6 +15,7 @@ from mvla_sim.evaluation.candidates import chamfer_table
 from mvla_sim.evaluation.ground_truth import check_inside, rasterize
 from mvla_sim.evaluation.metrics import Scores, score
 from mvla_sim.evaluation.ranking import average_precision
+from mvla_sim.evaluation.scan import ScanSettings
 from mvla_sim.evaluation.tuning import Optimum, TruthGeometry, optimal_thresholds
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.thresholds import THRESHOLD_RULES, ThresholdRule, joint_threshold
@@ -34,6 +35,7 @@ class EvaluationSettings(Settings):
     threshold_map: bool = Field(
         False, description="also the CD at every candidate pair (p, T_θ), for a calibration by the least mean"
     )
+    scan: ScanSettings = ScanSettings()
     threshold: Annotated[ThresholdRule, THRESHOLD_RULES] | None = Field(
         None, description="by default the optimum over every p and T_θ; 'auto': from the image, without the truth"
     )
@@ -53,7 +55,7 @@ class Evaluation:
     scores
         CD, accuracy, completeness, precision, recall, F1 and Hausdorff-95 at those thresholds.
     optimum
-        The exact optimum over every p and T_θ; None where it was not asked for.
+        The exact optimum over every p and T_θ of the scan; None where it was not asked for.
     average_precision
         :func:`~mvla_sim.evaluation.ranking.average_precision` by column name; empty where it was not asked for.
     threshold_map
@@ -126,7 +128,8 @@ def evaluate(
     image
         A continuous image.
     settings
-        Kind of truth, distances for F1, and thresholds; without thresholds those of the exact optimum are used.
+        Kind of truth, distances for F1, and thresholds; without thresholds those of the exact optimum are used, over
+        the thresholds of the scan.
     geometry
         The truth, prepared by :class:`TruthGeometry`; give it when many images share one truth and grid.
     with_optimum
@@ -137,7 +140,7 @@ def evaluate(
     DataError
         No ground truth, or it does not fit the grid.
     ConfigError
-        Thresholds that the method does not know.
+        Thresholds that the method does not know, or a scan whose bounds hold no voxel.
     """
     check_argument("image", image, Image, "see reconstruct")
     settings = EvaluationSettings() if settings is None else settings
@@ -151,7 +154,7 @@ def evaluate(
         truth = truth.reshape(image.grid.shape)
     optimum = None
     if with_optimum or settings.threshold is None:
-        optimum = optimal_thresholds(image.score, image.support_deg, geometry)
+        optimum = optimal_thresholds(image.score, image.support_deg, geometry, settings.scan)
     if settings.threshold is not None:
         protocol = str(THRESHOLD_RULES.name_of(type(settings.threshold)))
         percent, support = settings.threshold.thresholds(image.score, image.support_deg, image.grid, image.resolution_m)
@@ -164,5 +167,5 @@ def evaluate(
     if settings.average_precision:
         distance = max(settings.distances_m)
         ranked[f"ap_{100 * distance:g}cm"] = average_precision(image.score, geometry, distance)
-    tried = chamfer_table(image, geometry) if settings.threshold_map else None
+    tried = chamfer_table(image, geometry, settings.scan) if settings.threshold_map else None
     return Evaluation(protocol, percent, support, scores, optimum, ranked, tried, truth, occupied)

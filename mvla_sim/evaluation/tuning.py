@@ -4,7 +4,8 @@ Definitions
 -----------
 The voxels are put in one order: score descending, equal scores by voxel index ascending. The top-p% set is the
 first n voxels of that order, for any n = 1…N; of those, the voxels with Θ ≥ T_θ are retained. So for each T_θ the
-candidates are all prefixes of the filtered order, and only the distinct values of Θ matter as T_θ.
+candidates are all prefixes of the filtered order, and only the distinct values of Θ matter as T_θ. A scan with bounds
+or steps (:class:`~mvla_sim.evaluation.scan.ScanSettings`) leaves some n and T_θ out; what follows holds for it too.
 
 How it is exact and cheap
 -------------------------
@@ -35,6 +36,7 @@ from scipy.spatial.distance import cdist
 from mvla_sim.errors import DataError
 from mvla_sim.evaluation.ground_truth import TruthGeometry, whole_coordinates
 from mvla_sim.evaluation.metrics import chamfer_of_sums, decibel
+from mvla_sim.evaluation.scan import ScanSettings
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.thresholds import rank_order
 
@@ -57,11 +59,12 @@ class Optimum:
     cd_db
         The smallest Chamfer distance over every p and T_θ, dB(m²); −inf where the truth is met exactly.
     top_percent
-        p = 100·n_top/N of the smallest top-p% set that gives it, per cent of all voxels.
+        p = 100·n_top/N of the smallest top-p% set that gives it, per cent of all voxels; a multiple of the scan's step.
     min_support_deg
-        T_θ, degrees: 0 or a value that occurs in Θ. Any T_θ down to the next lower value gives the same set.
+        T_θ, degrees: 0 or a value that occurs in Θ. Any T_θ down to the next lower value gives the same set. Or a
+        multiple of the scan's step.
     n_top
-        Number of voxels in the top-p% set; its last voxel is retained.
+        Number of voxels in the top-p% set; without a step its last voxel is retained.
     n_retained
         Number of voxels that also pass Θ ≥ T_θ.
     area_m2
@@ -81,8 +84,10 @@ class Optimum:
         return f"Optimum(CD {self.cd_db:.2f} dB(m²) at {pair})"
 
 
-def optimal_thresholds(score: NDArray[Any], theta_deg: NDArray[Any] | None, geometry: TruthGeometry) -> Optimum:
-    """Return the exact optimum of the Chamfer distance over every p and every T_θ.
+def optimal_thresholds(
+    score: NDArray[Any], theta_deg: NDArray[Any] | None, geometry: TruthGeometry, scan: ScanSettings | None = None
+) -> Optimum:
+    """Return the exact optimum of the Chamfer distance over every p and every T_θ, or those of a scan.
 
     Equal Chamfer distances are resolved to the smallest T_θ, then to the smallest n.
 
@@ -94,22 +99,30 @@ def optimal_thresholds(score: NDArray[Any], theta_deg: NDArray[Any] | None, geom
         Angular support Θ_n, same shape, degrees, at least 0; None for no angular test (backprojection).
     geometry
         The ground truth, prepared.
+    scan
+        Bounds and steps of p and T_θ; by default all.
 
     Raises
     ------
     DataError
         A shape is not the grid's, or a value is not finite or, for Θ, negative.
+    ConfigError
+        The scan's bounds hold no voxel of the grid.
     """
-    ranking = _Ranking.of(score, theta_deg, geometry)
+    ranking = _Ranking.of(score, theta_deg, geometry, scan or ScanSettings())
     search = _Search(ranking)
     for first in range(0, ranking.values.size, LEVELS_AT_ONCE):
         search.run(first, min(first + LEVELS_AT_ONCE, ranking.values.size))
     value, level, n_top = search.best
     grid = geometry.grid
+    percent = 100 * n_top / grid.size
+    if ranking.steps is not None:  # the voxels after the last retained one change nothing
+        step = int(np.searchsorted(ranking.steps[0], n_top))
+        n_top, percent = int(ranking.steps[0][step]), float(ranking.steps[1][step])
     retained = int(np.count_nonzero(ranking.level[:n_top] >= level))
     return Optimum(
         cd_db=float(decibel(value * grid.spacing_m**2)),
-        top_percent=100 * n_top / grid.size,
+        top_percent=percent,
         min_support_deg=float(ranking.values[level]) if level else 0.0,
         n_top=n_top,
         n_retained=retained,
@@ -125,7 +138,7 @@ def chamfer_for_prefixes(
     Entry n − 1 is the distance of the n best-scored voxels after the test Θ ≥ ``min_support_deg``; NaN where that
     retains none. Parameters and errors as in :func:`optimal_thresholds`.
     """
-    ranking = _Ranking.of(score, theta_deg, geometry)
+    ranking = _Ranking.of(score, theta_deg, geometry, ScanSettings())
     if not 0 <= min_support_deg < np.inf or (theta_deg is None and min_support_deg > 0):
         allowed = "0, for there is no angular support" if theta_deg is None else "a number, at least 0"
         raise DataError(f"min_support_deg = {min_support_deg:g}: must be {allowed}")
@@ -149,17 +162,26 @@ def chamfer_for_prefixes(
 
 @dataclass(frozen=True, eq=False)
 class _Ranking:
-    """One image, put in the order of its scores. ``values`` are the distinct Θ, ``level`` indexes them by rank."""
+    """The n best voxels of one image, in the order of their scores, n being the most that the scan tries.
+
+    ``values`` are the T_θ that differ, the smallest of each set: all distinct Θ where nothing is left out. ``level``
+    says up to which of them a voxel passes.
+    """
 
     geometry: TruthGeometry
-    order: Integers  # [N] voxel of each rank
-    level: Integers  # [N] index into values, by rank
-    values: NDArray[Any]  # [L] degrees, ascending, in Θ's own type
-    squared: Floats  # [N] squared distance to the truth, by rank
+    order: Integers  # [n] voxel of each rank
+    level: Integers  # [n] index into values, by rank
+    values: NDArray[Any]  # [L] degrees, ascending
+    squared: Floats  # [n] squared distance to the truth, by rank
+    steps: tuple[Integers, Floats] | None  # [C] prefix lengths that are tried, the last being n, and p; None for all
 
     @classmethod
-    def of(cls, score: NDArray[Any], theta_deg: NDArray[Any] | None, geometry: TruthGeometry) -> _Ranking:
-        order = rank_order(_image(score, geometry.grid, "score"))
+    def of(
+        cls, score: NDArray[Any], theta_deg: NDArray[Any] | None, geometry: TruthGeometry, scan: ScanSettings
+    ) -> _Ranking:
+        steps = scan.counts(geometry.grid)
+        largest = scan.largest_count(geometry.grid) if steps is None else int(steps[0][-1])
+        order = rank_order(_image(score, geometry.grid, "score"), largest)
         values: NDArray[Any] = np.zeros(1)
         if theta_deg is None:
             level = np.zeros(order.size, np.intp)
@@ -168,9 +190,20 @@ class _Ranking:
             if theta.min() < 0:
                 raise DataError(f"theta_deg: smallest value {theta.min():g}; an angular support is at least 0")
             theta = theta if theta.dtype.kind == "f" else theta.astype(float)
-            values, inverse = np.unique(theta, return_inverse=True)
-            level = inverse[order]
-        return cls(geometry, order, level, values, geometry.squared[order])
+            if scan.every_support and order.size == theta.size:
+                values, inverse = np.unique(theta, return_inverse=True)
+                level = inverse[order]
+            else:
+                supports = scan.supports(theta)
+                passed = np.searchsorted(supports.astype(theta.dtype), theta[order], side="right") - 1
+                used, level = np.unique(passed, return_inverse=True)
+                values = supports[np.append(0, used[:-1] + 1)]
+        return cls(geometry, order, level, values, geometry.squared[order], steps)
+
+    @property
+    def counts(self) -> Integers | None:
+        """Prefix lengths that are tried, ascending; None for all."""
+        return None if self.steps is None or self.steps[0].size == self.order.size else self.steps[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,13 +217,14 @@ class _Row:
     truth: Floats  # [k] A, spacing²: a lower bound before entry ``unfilled``, exact from there on
     filled_at: NDArray[np.int32]  # [U] rank that first fills a truth voxel's stencil; the limit where none does
     unfilled: int
+    barred: Floats | None  # [k] ∞ for prefixes that are not tried, else 0; None where all are
 
     @classmethod
     def open(cls, ranking: _Ranking, level: int, limit: int) -> _Row:
         """Look at all n ≤ ``limit``."""
         geometry = ranking.geometry
         positions = np.flatnonzero(ranking.level[:limit] >= level)
-        rank = np.full(ranking.order.size + 1, limit, np.int32)
+        rank = np.full(geometry.grid.size + 1, limit, np.int32)
         rank[ranking.order[positions]] = positions
         near = rank.take(geometry.neighbours)
         first = np.empty((geometry.steps.size, geometry.voxels.size), np.int32)
@@ -202,13 +236,19 @@ class _Row:
         back = np.asarray(np.cumsum(ranking.squared[positions]), np.float64)
         filled_at = first[-1]
         unfilled = int(np.searchsorted(positions, filled_at.max()))
-        return cls(ranking, level, positions, back, truth, filled_at, unfilled)
+        barred = None
+        if ranking.counts is not None:
+            barred = np.full(positions.size, np.inf)
+            ends = np.searchsorted(positions, ranking.counts[ranking.counts <= limit])
+            barred[ends[ends > 0] - 1] = 0.0
+        return cls(ranking, level, positions, back, truth, filled_at, unfilled, barred)
 
     def chamfer(self, truth: Floats, start: int = 0) -> Floats:
-        """CD in spacing² of the prefixes from entry ``start`` on, for values or bounds of A."""
+        """CD in spacing² of the prefixes from entry ``start`` on, for values or bounds of A; ∞ where not tried."""
         kept = np.arange(start + 1, start + 1 + truth.size, dtype=float)
-        back = self.back[start : start + truth.size]
-        return np.asarray(chamfer_of_sums(truth, back, self.ranking.geometry.voxels.size, kept), np.float64)
+        part = slice(start, start + truth.size)
+        chamfer = chamfer_of_sums(truth, self.back[part], self.ranking.geometry.voxels.size, kept)
+        return np.asarray(chamfer if self.barred is None else chamfer + self.barred[part], np.float64)
 
     def excess(self, start: int, stop: int) -> Floats:
         """Exact A minus the bound ``truth`` for the entries from ``start`` up to ``stop``, ``[stop - start]``."""
@@ -232,7 +272,8 @@ class _Table:
     """Lower bounds of CD for blocks of n at several T_θ, all at once.
 
     Block e holds the n with ``edges[e] < n <= edges[e + 1]``. Within it A is at least its value at the block's end,
-    B at least its value before the block, and k at most its value at the end.
+    B at least its value before the block, and k at most its value at the end. Where the block's end is the only n of it
+    that is tried, B too is that at the end.
     """
 
     def __init__(self, ranking: _Ranking, edges: Integers, first: int, stop: int, floor: Floats) -> None:
@@ -252,7 +293,10 @@ class _Table:
         back = np.bincount(cell, squared, minlength=length).reshape(shape)[::-1].cumsum(axis=0)[::-1][:-1]
         self.kept = added.cumsum(axis=1).astype(float)
         self.kept[added == 0] = np.nan  # nothing is retained in the block, so no prefix ends there
-        self.back = back.cumsum(axis=1) - back
+        self.back = back.cumsum(axis=1)
+        tried = edges if ranking.counts is None else np.searchsorted(ranking.counts, edges, side="right")
+        several = np.diff(tried) > 1
+        self.back[:, several] -= back[:, several]
         self.floor = np.tile(floor, (stop - first, 1))
         self.bound = np.empty(self.floor.shape)
         self.lowest = np.empty(stop - first)
@@ -278,6 +322,10 @@ class _Search:
         size = ranking.order.size
         growth = np.geomspace(1, size, 2 + int(np.log(size) / np.log(BLOCK_GROWTH)))
         self.edges = np.unique(np.append(0, np.ceil(growth - 0.5))).astype(np.intp)
+        if (counts := ranking.counts) is not None:
+            if counts.size > self.edges.size:
+                counts = np.unique(counts[np.searchsorted(counts, self.edges[1:])])
+            self.edges = np.append(0, counts)
         self.floor = np.zeros(self.edges.size - 1)
 
     def run(self, first: int, stop: int) -> None:
@@ -334,11 +382,12 @@ class _Search:
         if truth.size:
             values = row.chamfer(truth, start)
             entry = int(np.argmin(values))
-            self.best = min(self.best, (float(values[entry]), row.level, int(row.positions[start + entry]) + 1))
+            if values[entry] < np.inf:
+                self.best = min(self.best, (float(values[entry]), row.level, int(row.positions[start + entry]) + 1))
 
     def _push(self, row: _Row, bounds: Floats, start: int, excess: float) -> None:
         """Queue the entries from ``start`` on whose bounds may beat the best value."""
-        hopeful = np.flatnonzero(bounds <= self.best[0])
+        hopeful = np.flatnonzero((bounds <= self.best[0]) & (bounds < np.inf))
         if hopeful.size:
             begin, last = start + int(hopeful[0]), start + int(hopeful[-1])
             key = (float(bounds.min()), row.level, int(row.positions[begin]) + 1)
