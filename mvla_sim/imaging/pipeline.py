@@ -21,7 +21,7 @@ from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.image import Image
 from mvla_sim.imaging.imaging_settings import ImagingSettings, imaging_settings
-from mvla_sim.imaging.noise import Noise
+from mvla_sim.imaging.noise import NOISES, Noise
 from mvla_sim.imaging.observation import FrontEnd, Observation
 from mvla_sim.imaging.paths import PathSettings, choose_paths
 from mvla_sim.imaging.pdp import Pdp, PdpSettings, compute_pdp, gate_for
@@ -194,7 +194,8 @@ class Pipeline:
         Raises
         ------
         ConfigError
-            A method that needs profiles of components, which are none.
+            A method that needs profiles of components, which are none; or a method or noise that needs phases, of
+            profiles of powers.
         """
         channel, method = self.channel, settings.chosen
         if channel.components is not None:
@@ -206,6 +207,8 @@ class Pipeline:
             return FrontEnd(None, channel.components, channel.resolution_m)
         clean, noise = channel.pdp, effective_noise(channel, settings.noise)
         assert clean is not None
+        if settings.pdp.sum == "powers":
+            _check_phaseless(settings, noise)
         pdp = self.keep("noise", noise, lambda: _with_noise(channel, clean, noise))
         peaks = Peaks.none(channel.numbers.size)
         if method.uses_peaks:
@@ -277,6 +280,14 @@ def _with_noise(channel: ProfiledChannel, clean: Pdp, noise: Noise) -> Pdp:
     """The profiles with noise; what was added to a measured channel is not all the noise that it has."""
     pdp = noise.add(clean, channel.numbers)
     return replace(pdp, noise_mean=None, noise_sigma=None) if channel.measured else pdp
+
+
+def _check_phaseless(settings: ImagingSettings, noise: Noise) -> None:
+    """Refuse what needs amplitudes, of profiles that have none."""
+    kind = NOISES.name_of(type(noise)) if noise.snr_db is not None and noise.uses_amplitude else None
+    needs = f"noise.kind = '{kind}'" if kind else f"method = '{settings.method}'"
+    if kind or settings.chosen.uses_amplitude:
+        raise ConfigError(f"pdp.sum = 'powers': leaves no phase, which {needs} needs; use pdp.sum = 'amplitudes'")
 
 
 def effective_noise(channel: ProfiledChannel, noise: Noise) -> Noise:

@@ -79,7 +79,7 @@ class LinearModel:
     grid, views, beam
         As for the projector.
     pdp
-        Its range axis, window and oversampling; powers are not looked at.
+        Its range axis, kernel, window and oversampling; powers are not looked at.
     fading
         Whether echoes fade with the fourth power of the range; if not, D is 1, for profiles that say nothing of power.
 
@@ -90,7 +90,7 @@ class LinearModel:
     shape
         Of profiles, (n_view, n_range).
     taps
-        The pulse's power, :func:`pulse_power`.
+        The pulse's power, :func:`pulse_power`; of one sample for profiles of ``kernel = "nearest"``.
     weight
         ``(r₀/r_l)⁴`` ``[n_range]``, r₀ the middle of the axis, r_l at least a resolution cell.
     arrays
@@ -111,7 +111,8 @@ class LinearModel:
     ) -> None:
         self.grid = grid
         self.shape = (len(views), pdp.power.shape[1])
-        self.taps = pulse_power(pdp.window, pdp.oversampling)
+        nearest = pdp.kernel == "nearest"
+        self.taps = np.ones(1) if nearest else pulse_power(pdp.window, pdp.oversampling)
         ranges = np.maximum(pdp.range_m, pdp.resolution_m)
         self.weight = (0.5 * (ranges[0] + ranges[-1]) / ranges) ** 4 if fading else np.ones_like(ranges)
         self._operator = RangeOperator(grid, views, pdp.start_m, pdp.step_m, self.shape[1], beam=beam)

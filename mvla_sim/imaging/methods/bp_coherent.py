@@ -48,13 +48,18 @@ class CoherentBackprojection(Method):
         Raises
         ------
         ConfigError
-            Noise was added to the power, so that there is no phase any more.
+            Noise was added to the power, so that there is no phase any more; or echoes are single samples.
         """
         if seen.pdp.amplitude is None:
             kind = NOISES.name_of(type(seen.settings.noise))
             raise ConfigError(
                 f"noise.kind = '{kind}': noise on the power leaves no phase, which bp-coherent "
                 "needs; use noise.kind = 'complex' or noise.snr_db = 'none'"
+            )
+        if seen.pdp.kernel == "nearest":
+            raise ConfigError(
+                "pdp.kernel = 'nearest': echoes that are single samples tell no phase between them, which bp-coherent "
+                "needs; use pdp.kernel = 'band-limited'"
             )
         check_grid(seen.grid)
         table, start, step = _fine(seen)
