@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import os
+from pathlib import Path
 
 import pytest
 
-from mvla_sim.bench.measure import Work, measure
+from mvla_sim.bench.child import perform
+from mvla_sim.bench.measure import Measured, measure
 from mvla_sim.bench.stages import SIZES, STAGES, points_of, series_of
+from mvla_sim.engine.backend import set_threads
+from mvla_sim.engine.machine import core_count
 from mvla_sim.errors import ConfigError
 
 
@@ -47,6 +52,16 @@ def test_workers_have_a_core_each_and_others_are_not_pinned():
         assert point.work.cores == (point.size["workers"] if pinned else None)
 
 
+def here(target, params, engine="none"):
+    """What :func:`measure` finds, of work that is done in this process; see ``test_measure`` for the others."""
+    order = {"params": params, "warmups": 1, "repeats": 2, "budget_s": 4.0, "cores": None, "engine": engine}
+    try:
+        return Measured(**perform(order | {"target": f"mvla_sim.bench.{target}"}))
+    finally:
+        if engine != "none":
+            set_threads(core_count())
+
+
 @pytest.mark.parametrize(
     ("target", "params", "engine"),
     [
@@ -57,7 +72,7 @@ def test_workers_have_a_core_each_and_others_are_not_pinned():
     ],
 )
 def test_jobs_run(target, params, engine):
-    found = measure(Work(f"mvla_sim.bench.{target}", params, engine, repeats=2))
+    found = here(target, params, engine)
     assert found.repeats == 2
     assert found.first_s > 0
     assert found.median_s > 0
@@ -67,23 +82,18 @@ def test_jobs_run(target, params, engine):
 def test_a_search_sees_the_thresholds_it_is_said_to():
     for image in ("contour", "unrelated"):
         params = {"voxels": 10_000, "thresholds": 12, "image": image}
-        found = measure(Work("mvla_sim.bench.search_jobs:SearchJob", params, repeats=2))
+        found = here("search_jobs:SearchJob", params)
         assert found.facts["distinct_thresholds"] == 12
 
 
 def test_the_truth_grows_with_the_side_of_the_grid():
-    counts = [
-        measure(Work("mvla_sim.bench.search_jobs:TruthJob", {"voxels": n}, repeats=2)).facts["truth_voxels"]
-        for n in (10_000, 40_000)
-    ]
+    counts = [here("search_jobs:TruthJob", {"voxels": n}).facts["truth_voxels"] for n in (10_000, 40_000)]
     assert counts[1] == pytest.approx(2 * counts[0], rel=0.05)
 
 
-def test_tracing_counts_paths_and_bytes(tmp_path):
+def test_tracing_counts_paths_and_bytes():
     """A path is complex64, float64, uint8 and three float32: 29 bytes, and its share of the rows."""
-    params = {"rays": 1300, "views": 2, "facets": 12}
-    work = Work("mvla_sim.bench.tracing_jobs:TracingJob", params, "tracer", repeats=2)
-    facts = measure(work, kernels=tmp_path).facts
+    facts = here("tracing_jobs:TracingJob", {"rays": 1300, "views": 2, "facets": 12}, "tracer").facts
     assert facts["paths_per_view"] > 10
     assert facts["memory_bytes_per_path"] == pytest.approx(29 + 8 / facts["paths_per_view"])
     assert facts["disk_bytes_per_path"] > 10
@@ -94,7 +104,8 @@ def test_a_sweep_runs_every_case(tmp_path):
     (point,) = [one for one in points_of(["sweep"], quick=True) if one.size["workers"] == 2]
     size = {**point.size, "cases": 6.0, "views": 4.0}
     work = dataclasses.replace(point.work, params=size)
-    found = measure(work, kernels=tmp_path / "kernels", cache=tmp_path / "cache")
+    kernels = Path(os.environ.get("DRJIT_CACHE_DIR", Path.home() / ".drjit"))  # compiled by other tests already
+    found = measure(work, kernels=kernels, cache=tmp_path / "cache")
     assert found.facts["failed"] == 0
     assert found.facts["batches"] >= 1
     assert found.facts["startup_s"] > 0

@@ -85,7 +85,7 @@ def test_phase_is_that_of_the_delay():
 
 def test_cylinder_is_at_its_nearest_point():
     cylinder = [{"shape": "circle", "radius_m": 2.0, "facets": 36}]
-    scene = build(cylinder, ring(10.0), diffuse_rays=1500, specular_rays=4000)
+    scene = build(cylinder, ring(30.0), diffuse_rays=1500, specular_rays=4000)
     cir = simulate(scene, cache=False)
     sagitta = 2.0 * (1 - np.cos(np.pi / 36))  # a facet's centre lies that far inside the circle
     for view in range(cir.n_view):

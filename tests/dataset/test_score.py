@@ -14,6 +14,7 @@ from campaigns import tiny
 
 import mvla_sim as mv
 from mvla_sim.cli.app import run
+from mvla_sim.cluster.in_process import InProcess
 from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.dataset import access
 from mvla_sim.dataset.build import build_dataset
@@ -42,10 +43,9 @@ def image(seen):  # what is near the origin, at all samples
 
 
 @pytest.fixture
-def dataset(tmp_path, fake):
+def dataset(tiny_dataset, fake):
     """Ten scenes traced by formula: 5 for training, 2 for validation, 3 for the test."""
-    build_dataset(tiny(tmp_path), tmp_path / "set", workers=0)
-    return tmp_path / "set"
+    return tiny_dataset
 
 
 @pytest.fixture
@@ -201,13 +201,22 @@ def test_every_method_is_scored_by_default(dataset):
     assert {result.label for result in results} == {method.name for method in METHODS.own()} - {"bp-coherent"}
 
 
+class Backwards(InProcess):
+    """The last task is finished first."""
+
+    def run(self, function, tasks, *, label, idle=lambda: None):
+        yield from reversed(list(super().run(function, tasks, label=label, idle=idle)))
+
+
 def test_worker_processes_change_no_number(dataset, tmp_path):
-    with open_cluster(2) as cluster:
+    """Nor does the order in which they finish."""
+    with open_cluster(1) as cluster:
         there = score_dataset(dataset, ["mvla-gr"], output=tmp_path / "there", cluster=cluster)
     here = score_dataset(dataset, ["mvla-gr"], output=tmp_path / "here")
-    timeless = [[{**row, "seconds": 0} for row in result.rows] for result in (*there, *here)]
-    assert timeless[0] == timeless[1]
-    assert there[0].identity == here[0].identity
+    backwards = score_dataset(dataset, ["mvla-gr"], output=tmp_path / "backwards", cluster=Backwards())
+    timeless = [[{**row, "seconds": 0} for row in result.rows] for result in (*there, *here, *backwards)]
+    assert timeless[0] == timeless[1] == timeless[2]
+    assert there[0].identity == here[0].identity == backwards[0].identity
 
 
 def result_of(label: str, values: list[float], **changes) -> Result:
