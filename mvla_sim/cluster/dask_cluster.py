@@ -84,15 +84,9 @@ class DaskCluster(Cluster):
         self._client = None
         self._stack.close()
 
-    def run(
-        self,
-        function: Callable[..., Any],
-        tasks: Iterable[Arguments],
-        *,
-        label: str,
-        idle: Callable[[], None] = lambda: None,
+    def _run(
+        self, function: Callable[..., Any], tasks: Iterable[Arguments], label: str, idle: Callable[[], None]
     ) -> Generator[tuple[int, Finished]]:
-        """Keep a few tasks a worker in flight."""
         self.start()
         submitted: dict[int, _Submitted] = {}
         again: deque[_Submitted] = deque()

@@ -15,15 +15,9 @@ __all__ = ["InProcess"]
 class InProcess(Cluster):
     """No other process. Ctrl-C waits for the end of a task, and is raised when its result has been taken."""
 
-    def run(
-        self,
-        function: Callable[..., Any],
-        tasks: Iterable[Arguments],
-        *,
-        label: str,
-        idle: Callable[[], None] = lambda: None,
+    def _run(
+        self, function: Callable[..., Any], tasks: Iterable[Arguments], label: str, idle: Callable[[], None]
     ) -> Generator[tuple[int, Finished]]:
-        """Call it here, one task after the other."""
         del label, idle
         for number, task in enumerate(tasks):
             with deferred_interrupt() as check, single_threaded_algebra():

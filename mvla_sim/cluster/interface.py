@@ -111,6 +111,12 @@ class Cluster:
         RuntimeUnfitError
             The cluster is lost.
         """
+        return self._run(function, tasks, label, idle)
+
+    def _run(
+        self, function: Callable[..., Any], tasks: Iterable[Arguments], label: str, idle: Callable[[], None]
+    ) -> Generator[tuple[int, Finished]]:
+        """:meth:`run` of a kind of workers."""
         raise NotImplementedError
 
     def close(self) -> None:

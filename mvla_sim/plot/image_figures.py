@@ -154,7 +154,7 @@ def plot_comparison(
             style.DOUBLE_COLUMN_IN * columns / 3,
             [image.grid for image in images],
             columns,
-            edges_in=(0.42, 0.12, 0.6, lines + (0.45 if title else 0.25)),
+            edges_in=(0.42, 0.12, 0.6, lines + style.room_above_in(title)),
             gap_in=(0.65, 0.58 + lines),
             figure=figure,
         )
@@ -175,8 +175,7 @@ def plot_comparison(
                 last.set_title(captions[row], loc="right" if lines else "center")
             first.set_title(label, loc="left", fontweight="bold")
         style.figure_legend(canvas, list(handles.values()), columns=4)
-        if title:
-            canvas.suptitle(title, y=1 - 0.06 * canvas.dpi / canvas.bbox.height, va="top")
+        style.figure_title(canvas, title)
     return canvas
 
 
@@ -218,12 +217,11 @@ def plot_measured(
     flat = _from_above(image)
     low, high = flat.grid.bounds_m()
     with style.figure_style():
-        above = 0.45 if title else 0.25
         canvas, ((left, right),) = drawing.panel_grid(
             style.DOUBLE_COLUMN_IN,
             [flat.grid],
             2,
-            edges_in=(0.42, 0.12, 0.62, above),
+            edges_in=(0.42, 0.12, 0.62, style.room_above_in(title)),
             gap_in=(0.75, 0.0),
             figure=figure,
         )
@@ -247,8 +245,7 @@ def plot_measured(
             axes.set_xlim(low[0], high[0])
             axes.set_ylim(low[1], high[1])
         style.figure_legend(canvas, handles, columns=3)
-        if title:
-            canvas.suptitle(title, y=1 - 0.06 * canvas.dpi / canvas.bbox.height, va="top")
+        style.figure_title(canvas, title)
     return canvas
 
 

@@ -19,7 +19,7 @@ from mvla_sim.files import as_path, atomic_output
 
 __all__ = [
     "COLORS", "DOUBLE_COLUMN_IN", "FIGURE_SUFFIXES", "MAPS", "PNG_DPI", "SINGLE_COLUMN_IN", "Canvas", "Given",
-    "figure_legend", "figure_style", "new_figure", "png_bytes", "save_figure",
+    "figure_legend", "figure_style", "figure_title", "new_figure", "png_bytes", "room_above_in", "save_figure",
 ]  # fmt: skip
 
 SINGLE_COLUMN_IN = 3.5
@@ -127,6 +127,17 @@ def figure_legend(figure: Canvas, handles: Sequence[Artist], side: str = "lower"
     outside = "outside " if isinstance(figure.get_layout_engine(), ConstrainedLayoutEngine) else ""
     place: Any = f"{outside}{side} center"
     figure.legend(handles=list(handles), loc=place, ncols=columns)
+
+
+def room_above_in(title: str) -> float:
+    """Height that panels leave free above them for their own titles and, where there is one, the figure's; inches."""
+    return 0.45 if title else 0.25
+
+
+def figure_title(figure: Canvas, title: str) -> None:
+    """Put a title into the room above all panels; nothing where it is empty."""
+    if title:
+        figure.suptitle(title, y=1 - 0.06 * figure.dpi / figure.bbox.height, va="top")
 
 
 def png_bytes(figure: Figure) -> bytes:

@@ -103,14 +103,13 @@ def plot_volume(
                 Line2D([], [], color=EDGE, linewidth=0.6, label="mesh, its edges"),
             ]
             canvas.legend(handles=handles, loc="lower left", ncols=1)
-        if title:
-            canvas.suptitle(title, y=1 - 0.06 * canvas.dpi / canvas.bbox.height, va="top")
+        style.figure_title(canvas, title)
     return canvas
 
 
 def _volume_panels(grid: VoxelGrid, title: str, figure: Given | None) -> tuple[Figure | Given, list[Axes], Axes3D]:
     """Three panels in a row on one scale, standing on one line, and the three-dimensional view under them."""
-    left, end, below, gap, above = 0.5, 0.6, 0.35, 0.52, 0.45 if title else 0.25
+    left, end, below, gap, above = 0.5, 0.6, 0.35, 0.52, style.room_above_in(title)
     size = grid.spacing_m * np.array(grid.counts)
     widths = np.array([size[right] for _, _, right, _ in PROJECTIONS])
     heights = np.array([size[up] for _, _, _, up in PROJECTIONS])

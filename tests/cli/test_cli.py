@@ -19,6 +19,7 @@ import typer
 from command_line import mvla
 
 from mvla_sim.cli.app import app, run
+from mvla_sim.errors import MvlaError
 from mvla_sim.imaging.method import METHODS
 
 SCENE = """
@@ -373,3 +374,26 @@ def test_a_part_of_the_target_can_be_looked_at(work):
     mvla("image", "cir.nc", *zoom, "-o", "zoom.nc", folder=work)
     mvla("plot", "zoom.nc", "-o", "zoom.png", folder=work)
     assert (work / "zoom.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run", "star-optimal"),
+        ("reproduce",),
+        ("dataset", "build", "benchmark-small", "-o", "out"),
+        ("dataset", "score", "out"),
+    ],
+)
+def test_whatever_takes_workers_takes_one_a_core_by_default(arguments, tmp_path, monkeypatch, capsys):
+    def start(workers, out):
+        raise MvlaError(f"{workers} worker processes are asked for")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("mvla_sim.cluster.opening.core_count", lambda: 7)
+    monkeypatch.setattr("mvla_sim.cluster.local_processes.LocalProcesses", start)
+    assert run(list(arguments)) == 2
+    assert capsys.readouterr().err.strip().endswith("7 worker processes are asked for")
+    assert run([*arguments, "--workers", "3"]) == 2
+    assert capsys.readouterr().err.strip().endswith("3 worker processes are asked for")
+    assert list(tmp_path.iterdir()) == []

@@ -204,8 +204,8 @@ def test_every_method_is_scored_by_default(dataset):
 class Backwards(InProcess):
     """The last task is finished first."""
 
-    def run(self, function, tasks, *, label, idle=lambda: None):
-        yield from reversed(list(super().run(function, tasks, label=label, idle=idle)))
+    def _run(self, *arguments):
+        yield from reversed(list(super()._run(*arguments)))
 
 
 def test_worker_processes_change_no_number(dataset, tmp_path):

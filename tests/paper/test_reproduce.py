@@ -23,7 +23,8 @@ shape = "{name}"
 interval_deg = 30.0
 [ray_tracing]
 diffuse_rays = 300
-specular_rays = 2000
+specular = false
+diffraction = false
 """
 GRID = "[imaging.grid]\nspacing_m = 0.25\n"
 STAR = 'snr_db = [0.0, 20.0]\nseed = [0, 1]\ninterval_deg = [30.0, 60.0]\nmethod = ["mvla-gr", "bp"]\n'
