@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +16,23 @@ __all__ = ["GridSettings", "VoxelGrid"]
 
 
 class GridSettings(Settings):
-    """The voxel grid: centre, size and spacing. A vertical size of 0 is one layer at the centre's height."""
+    """The voxel grid: centre, size and spacing. A vertical size of 0 is one layer at the centre's height.
+
+    The paper divides its region "into a uniform voxel grid" and does not say where the voxels lie. With even counts
+    voxel edges lie on the grid's centre, and so on multiples of the spacing from it; with odd ones voxel centres do. An
+    outline along such a multiple touches the voxels on both of its sides in the first case, so that its contour is two
+    voxels thick, and runs through one row of voxels in the second. ``align`` chooses: a size that gives a count of the
+    other parity is made one voxel larger. One layer is one layer in either case.
+    """
 
     center_m: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="of the grid, x, y and z")
     size_m: tuple[PositiveFloat, PositiveFloat, NonNegativeFloat] = Field(
         (10.0, 10.0, 0.0), description="along x, y and z; a height of 0 is one layer"
     )
     spacing_m: PositiveFloat = Field(0.05, description="side of a voxel")
+    align: Literal["edges", "centers"] | None = Field(
+        None, description="which of voxel edges and centres lie on the grid's centre; by default as the size gives"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> GridSettings:
@@ -61,8 +72,17 @@ class VoxelGrid:
 
     @classmethod
     def from_settings(cls, settings: GridSettings) -> VoxelGrid:
-        """Build the grid of a settings block; a size that is no multiple of the spacing is rounded to voxels."""
+        """Build the grid of a settings block.
+
+        A size that is no multiple of the spacing is rounded to voxels, then up to the parity that ``align`` asks for.
+        """
         counts = [max(1, round(size / settings.spacing_m)) for size in settings.size_m]
+        if settings.align is not None:
+            odd = settings.align == "centers"
+            counts = [
+                count + (count % 2 != odd) if size > 0 else count
+                for count, size in zip(counts, settings.size_m, strict=True)
+            ]
         return cls(settings.center_m, (counts[0], counts[1], counts[2]), settings.spacing_m)
 
     @property

@@ -191,8 +191,12 @@ class CampaignSettings(Settings):
         return -(-self.samples // self.samples_per_shard)
 
     def identity(self) -> dict[str, Any]:
-        """Every setting that decides the data, as plain data: all but the texts about it."""
-        return self.model_dump(mode="json", exclude={"description", "licence"})
+        """Every setting that decides the data, as plain data: all but the texts about it.
+
+        A grid without an alignment is told as before there was one, so that older datasets stay readable.
+        """
+        unset = {"grid": {"align"}} if self.grid.align is None else {}
+        return self.model_dump(mode="json", exclude={"description": True, "licence": True, **unset})
 
     def digest(self) -> str:
         """SHA-256, in hexadecimal, over :meth:`identity`."""

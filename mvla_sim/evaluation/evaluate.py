@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PositiveFloat
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from mvla_sim.errors import DataError, check_argument
 from mvla_sim.evaluation.candidates import chamfer_table
@@ -25,9 +25,15 @@ __all__ = ["Evaluation", "EvaluationSettings", "evaluate", "ground_truth"]
 
 
 class EvaluationSettings(Settings):
-    """What the image is compared with, and how."""
+    """What the image is compared with, and how.
+
+    The paper's truth is "ground-truth occupied voxel centers" (``eq:chamfer_ch4``) of a contour, of which it gives no
+    thickness. With ``thickness_m`` every voxel whose centre lies within half of it from the outline is one, besides
+    those that the outline passes through: a wall of that thickness, or a voxel model drawn with a wide pen.
+    """
 
     truth: Literal["contour", "filled"] = Field("contour", description="voxels of the outline, or all inside it too")
+    thickness_m: NonNegativeFloat = Field(0.0, description="of the contour; 0: the voxels it passes through alone")
     distances_m: tuple[PositiveFloat, ...] = Field((0.05, 0.10), description="for precision, recall and F1")
     average_precision: bool = Field(
         False, description="also the area under precision and recall at the largest of these distances; no thresholds"
@@ -39,6 +45,12 @@ class EvaluationSettings(Settings):
     threshold: Annotated[ThresholdRule, THRESHOLD_RULES] | None = Field(
         None, description="by default the optimum over every p and T_θ; 'auto': from the image, without the truth"
     )
+
+    @model_validator(mode="after")
+    def _check(self) -> EvaluationSettings:
+        if self.thickness_m > 0 and self.truth != "contour":
+            raise ValueError(f"thickness_m = {self.thickness_m:g}: is of a contour; with truth = '{self.truth}' give 0")
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,12 +118,12 @@ def ground_truth(image: Image, settings: EvaluationSettings) -> NDArray[np.bool_
     Raises
     ------
     DataError
-        The image has no outline (measured data), or the outline reaches out of the grid.
+        The image has no outline (measured data), or the outline, with its thickness, reaches out of the grid.
     """
     if image.outline is None:
         raise DataError("the image carries no outline of its target, so there is no ground truth to compare with")
-    check_inside(image.outline, image.grid)
-    return rasterize(image.outline, image.grid, settings.truth)
+    check_inside(image.outline, image.grid, settings.thickness_m)
+    return rasterize(image.outline, image.grid, settings.truth, settings.thickness_m)
 
 
 def evaluate(

@@ -104,7 +104,7 @@ class TruthGeometry:
         )
 
 
-def check_inside(outline: Polygon | MultiPolygon, grid: VoxelGrid) -> None:
+def check_inside(outline: Polygon | MultiPolygon, grid: VoxelGrid, thickness_m: float = 0.0) -> None:
     """Refuse an outline that is no area or does not lie wholly inside the grid's footprint.
 
     Parameters
@@ -113,6 +113,8 @@ def check_inside(outline: Polygon | MultiPolygon, grid: VoxelGrid) -> None:
         Cross-section in the x–y plane, metres.
     grid
         The voxel grid; touching its edge is still inside.
+    thickness_m
+        Of the outline, half of it on either side, metres.
 
     Raises
     ------
@@ -126,19 +128,24 @@ def check_inside(outline: Polygon | MultiPolygon, grid: VoxelGrid) -> None:
     if not outline.is_valid:
         raise DataError(f"ground truth: the outline is no valid polygon: {shapely.is_valid_reason(outline)}")
     lower, upper = grid.bounds_m()
-    x_min, y_min, x_max, y_max = outline.bounds
+    half = thickness_m / 2
+    x_min, y_min, x_max, y_max = np.add(outline.bounds, (-half, -half, half, half))
     beyond = {"-x": lower[0] - x_min, "+x": x_max - upper[0], "-y": lower[1] - y_min, "+y": y_max - upper[1]}
     out = [f"{by:.3g} m at {side}" for side, by in beyond.items() if by > TOUCH * grid.spacing_m]
     if out:
         raise DataError(
-            f"ground truth: sticks out of the grid by {', '.join(out)}; the grid spans "
+            f"ground truth: {f'with a thickness of {thickness_m:g} m it ' if thickness_m else ''}"
+            f"sticks out of the grid by {', '.join(out)}; the grid spans "
             f"x {lower[0]:g} to {upper[0]:g} m, y {lower[1]:g} to {upper[1]:g} m: "
             "enlarge grid.size_m or move grid.center_m"
         )
 
 
 def rasterize(
-    outline: Polygon | MultiPolygon, grid: VoxelGrid, kind: Literal["contour", "filled"]
+    outline: Polygon | MultiPolygon,
+    grid: VoxelGrid,
+    kind: Literal["contour", "filled"],
+    thickness_m: float = 0.0,
 ) -> NDArray[np.bool_]:
     """Return the voxels that an outline occupies, ``[nz, ny, nx]`` bool.
 
@@ -152,11 +159,14 @@ def rasterize(
         ``contour``: voxels whose closed square the boundary (exterior and holes) meets. Touching counts, within
         10⁻⁶ of a voxel: a boundary on the edge between two voxels marks both. ``filled``: these, and the voxels
         whose centre the outline covers.
+    thickness_m
+        Of the contour, metres: voxels whose centre lies within half of it from the boundary are marked as well.
 
     Raises
     ------
     DataError
-        The grid has several layers, ``kind`` is neither, or :func:`check_inside` refuses the outline.
+        The grid has several layers, ``kind`` is neither, a thickness is below 0 or not the contour's, or
+        :func:`check_inside` refuses the outline.
     """
     if kind not in ("contour", "filled"):
         raise DataError(f"ground truth: kind = {kind!r}; allowed: contour, filled")
@@ -164,12 +174,16 @@ def rasterize(
         raise DataError(
             f"ground truth: the grid has {grid.counts[2]} layers; an outline needs exactly 1 (size_m z = 0)"
         )
-    check_inside(outline, grid)
+    if not (np.isfinite(thickness_m) and thickness_m >= 0) or (thickness_m and kind != "contour"):
+        raise DataError(f"ground truth: thickness_m = {thickness_m:g}; must be at least 0, and 0 unless of a contour")
+    check_inside(outline, grid, thickness_m)
     nx, ny, _ = grid.counts
     x0, y0, _ = grid.origin_m
     # In units of voxels from the centre of voxel 0, voxel (ix, iy) is the square ix ± 1/2, iy ± 1/2.
     scaled = shapely.transform(outline, lambda xy: (xy - [x0, y0]) / grid.spacing_m)
     contour = _contour(shapely.boundary(scaled), nx, ny)
+    if thickness_m:
+        contour |= _near(shapely.boundary(scaled), thickness_m / 2 / grid.spacing_m, nx, ny)
     mask = contour if kind == "contour" else contour | _covered(scaled, contour)
     return mask[None]
 
@@ -190,6 +204,13 @@ def _contour(boundary: shapely.Geometry, nx: int, ny: int) -> NDArray[np.bool_]:
     mask = np.zeros(nx * ny, bool)
     mask[candidates[met]] = True
     return mask.reshape(ny, nx)
+
+
+def _near(boundary: shapely.Geometry, distance: float, nx: int, ny: int) -> NDArray[np.bool_]:
+    """Voxels ``[ny, nx]`` whose centre lies within a distance, in voxels, of the boundary."""
+    shapely.prepare(boundary)
+    iy, ix = np.indices((ny, nx))
+    return np.asarray(shapely.dwithin(boundary, shapely.points(ix, iy), distance + TOUCH), bool)
 
 
 def _covered(outline: Polygon | MultiPolygon, contour: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -92,7 +92,7 @@ def _run(stages: Pipeline, case: Case) -> Outcome:
     settings = case.evaluation
     geometry = stages.keep(
         "truth",
-        (case.imaging.grid, settings.truth),
+        (case.imaging.grid, settings.truth, settings.thickness_m),
         lambda: TruthGeometry.build(ground_truth(image, settings), image.grid),
     )
     return Outcome(case, image, evaluate(image, settings, geometry, with_optimum=settings.threshold is None))

@@ -109,6 +109,7 @@ class Calibration:
                     f"calibration.scenes: {source} has no scene '{missing[0]}'; allowed: {', '.join(there)}"
                 )
             table = table[table["scene"].isin(settings.scenes)]
+        table = _chosen(table, settings, axes, source)
         by = tuple(name for name in ("scene", *axes) if name not in settings.over)
         if settings.rule == "least-mean":
             chosen = least_mean_thresholds(table, load_maps(source), by, settings.over)
@@ -130,6 +131,21 @@ class Calibration:
             wanted = ", ".join(f"{name} = {value}" for name, value in zip(self.by, values, strict=True))
             raise ConfigError(f"calibration: {self.source} has no case with {wanted}")
         return self.found[place]
+
+
+def _chosen(table: pd.DataFrame, settings: CalibrationSettings, axes: Sequence[str], source: Path) -> pd.DataFrame:
+    """The rows that ``calibration.where`` lets count; raises ConfigError: the other experiment has none such."""
+    for name, values in settings.where.items():
+        axis = next((axis for axis in axes if dotted_key(axis) == dotted_key(name)), None)
+        if axis is None:
+            raise ConfigError(f"calibration.where: {source} has no axis '{name}'; allowed: {', '.join(axes)}")
+        there = [_normal(value) for value in table[axis].tolist()]
+        wanted = {_normal(value): value for value in values}
+        if missing := [value for place, value in wanted.items() if place not in there]:
+            allowed = ", ".join(map(str, dict.fromkeys(there)))
+            raise ConfigError(f"calibration.where: {source} has no case with {name} = {missing[0]}; allowed: {allowed}")
+        table = table[[value in wanted for value in there]]
+    return table
 
 
 def _axes(source: Path) -> list[str]:

@@ -29,6 +29,9 @@ class CalibrationSettings(Settings):
     in dB is least. Means are first over all its cases of one value of ``over``'s first name, then over these values, so
     that each interval weighs the same however many offsets it has. With ``scene`` in ``over`` they are means over
     scenes too, and ``scenes`` says of which: held-out calibration, where it is of others than this experiment's.
+
+    The paper takes "the average of their optimal values over different angular intervals", and does not say which these
+    are. ``where`` says which values of an axis that is averaged over count, as ``where.interval_deg = [1, 5, 10, 30]``.
     """
 
     source: Name = Field(alias="from", description="name of the other experiment's folder, beside this one's")
@@ -43,6 +46,9 @@ class CalibrationSettings(Settings):
     scenes: Annotated[tuple[str, ...], Field(min_length=1)] | None = Field(
         None, description="scenes of the other experiment whose thresholds count; by default all"
     )
+    where: dict[str, tuple[AxisValue, ...]] = Field(
+        default_factory=dict, description="axis of over: the values whose cases count; by default all"
+    )
 
     @field_validator("over")
     @classmethod
@@ -56,6 +62,13 @@ class CalibrationSettings(Settings):
     def _check(self) -> CalibrationSettings:
         if self.scenes is not None and "scene" not in self.over:
             raise ValueError("scenes: needs 'scene' in over, for thresholds of other scenes are no scene's own")
+        averaged = {dotted_key(name) for name in self.over if name != "scene"}
+        for axis, values in self.where.items():
+            if dotted_key(axis) not in averaged:
+                told = "; write scenes = [...]" if axis == "scene" else ""
+                raise ValueError(f"where: '{axis}' is no axis of over, which is {', '.join(self.over)}{told}")
+            if not values:
+                raise ValueError(f"where: '{axis}' is empty; give at least one value")
         return self
 
 

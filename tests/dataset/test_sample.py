@@ -270,3 +270,12 @@ def test_settings_survive_their_own_json(tmp_path):
     assert parse(CampaignSettings, json.loads(campaign.model_dump_json()), "copy") == campaign
     assert campaign.digest() == tiny(tmp_path, "description=other", "licence=MIT").digest()
     assert campaign.digest() != tiny(tmp_path, "seed=8").digest()
+
+
+def test_a_campaign_without_alignment_is_what_it_was_before_there_was_one(tmp_path):
+    """Datasets carry their campaign's digest; those built before must stay readable."""
+    campaign = tiny(tmp_path)
+    assert "align" not in campaign.identity()["grid"]
+    others = [campaign.model_copy(update={"grid": campaign.grid.model_copy(update={"align": align})})
+              for align in ("edges", "centers")]  # fmt: skip
+    assert len({one.digest() for one in (campaign, *others)}) == 3

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from shapely import affinity
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon, box
 
-from mvla_sim.errors import DataError
+from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.evaluation.evaluate import EvaluationSettings, ground_truth
 from mvla_sim.evaluation.ground_truth import TruthGeometry, check_inside, rasterize
 from mvla_sim.grid import VoxelGrid
+from mvla_sim.imaging.image import Image
 
 KINDS = ("contour", "filled")
 
@@ -187,3 +189,59 @@ def test_truth_geometry_refuses_other_shapes_and_empty_truths():
         TruthGeometry.build(np.ones((4, 4), bool), grid)
     with pytest.raises(DataError, match="no voxel"):
         TruthGeometry.build(np.zeros(grid.shape, bool), grid)
+
+
+@given(outline=outlines(), count=st.integers(13, 40), thickness=st.floats(0.01, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_a_thick_contour_is_the_definition_applied_to_every_voxel(outline, count, thickness):
+    grid = layer(count, spacing=7.5 / count)
+    x, y = grid.centers()[:, :2].T
+    near = shapely.distance(shapely.boundary(outline), shapely.points(x, y)).reshape(grid.shape)
+    expected = every_voxel(outline, grid, "contour") | (near <= thickness / 2)
+    mask = rasterize(outline, grid, "contour", thickness)
+    sure = np.abs(near - thickness / 2) > 1e-5 * grid.spacing_m  # a centre on the rim is left to the next test
+    np.testing.assert_array_equal(mask[sure], expected[sure])
+    assert not np.any(rasterize(outline, grid, "contour") & ~mask)
+
+
+@pytest.mark.parametrize(("thickness", "rows"), [(0.0, 1), (0.05, 1), (0.1, 3), (0.19, 3), (0.2, 5), (0.3, 7)])
+def test_a_straight_side_is_as_thick_as_it_is_told(thickness, rows):
+    """The side runs through voxel centres, 5 cm apart: centres at multiples of 5 cm from it, those on the rim too."""
+    grid = layer(61, spacing=0.05)
+    mask = rasterize(box(-1, -1, 1, 1), grid, "contour", thickness)[0]
+    assert np.count_nonzero(mask[:30, 30]) == rows
+
+
+def test_a_contour_no_thicker_than_nothing_is_the_contour():
+    outline, grid = Point(0.1, 0.2).buffer(1.7), layer(40, spacing=0.1)
+    np.testing.assert_array_equal(rasterize(outline, grid, "contour", 0.0), rasterize(outline, grid, "contour"))
+
+
+@pytest.mark.parametrize(("kind", "thickness"), [("filled", 0.1), ("contour", -0.1), ("contour", np.nan)])
+def test_thicknesses_that_are_none_are_refused(kind, thickness):
+    with pytest.raises(DataError, match="thickness_m = ") as error:
+        rasterize(box(-1, -1, 1, 1), layer(20), kind, thickness)
+    assert "\n" not in str(error.value)
+
+
+def test_a_contour_whose_thickness_leaves_the_grid_is_refused():
+    """The square's side is 0.1 m from the grid's edge: 0.2 m of thickness fit, 0.3 m do not."""
+    grid = layer(42, spacing=0.1)
+    rasterize(box(-2, -2, 2, 2), grid, "contour", 0.2)
+    with pytest.raises(DataError, match=r"with a thickness of 0\.3 m it sticks out of the grid by 0\.05 m at -x"):
+        rasterize(box(-2, -2, 2, 2), grid, "contour", 0.3)
+
+
+def test_an_evaluation_is_against_the_thick_contour_and_a_filled_one_has_none():
+    grid = layer(61, spacing=0.05)
+    image = Image(np.ones(grid.shape, np.float32), None, grid, "bp", 3, outline=box(-1, -1, 1, 1))
+    thick = ground_truth(image, EvaluationSettings(thickness_m=0.2))
+    np.testing.assert_array_equal(thick, rasterize(box(-1, -1, 1, 1), grid, "contour", 0.2))
+    for settings_, words in (
+        ({"truth": "filled", "thickness_m": 0.1}, "thickness_m = 0.1: is of a contour; with truth = 'filled' give 0"),
+        ({"thickness_m": -0.1}, "thickness_m = -0.1: should be greater than or equal to 0"),
+    ):
+        with pytest.raises(ConfigError) as error:
+            EvaluationSettings(**settings_)
+        assert words in str(error.value)
+        assert "\n" not in str(error.value)

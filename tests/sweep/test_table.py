@@ -212,6 +212,55 @@ def test_held_out_thresholds_are_those_of_the_scenes_named(tmp_path):
             assert case.evaluation.threshold.top_percent == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("name", ["interval_deg", "views.interval_deg"])
+def test_only_cases_of_the_values_named_count(tmp_path, name):
+    """At 10° the other experiment gets a p of 6 more and a T_θ of 12 more; the mean over both has half of that."""
+    source(tmp_path)
+    table = load_table(tmp_path / "results" / "first")
+    at_10 = table["interval_deg"] == 10.0
+    table["top_percent"] += 6 * at_10
+    table["min_support_deg"] += 12 * at_10
+    write_table(table, tmp_path / "results" / "first")
+    for values, part in (("", 0.5), ("[30]", 0.0), ("[10.0]", 1.0), ("[10, 30]", 0.5)):
+        chosen = f'where = {{ "{name}" = {values} }}\n' if values else ""
+        for case in expand(experiment(tmp_path, SECOND, CALIBRATION + chosen), tmp_path / "results" / "second").cases:
+            p = 1 + (case.values["method"] != "bp") + (case.values["snr_db"] or 0.0) + 6 * part
+            support = (0.0 if case.values["method"] == "bp" else 30.0) + 12 * part
+            assert case.evaluation.threshold.top_percent == pytest.approx(p)
+            assert case.evaluation.threshold.min_support_deg == pytest.approx(support)
+
+
+def test_the_least_mean_too_is_of_the_values_named(tmp_path):
+    plan, rows = source(tmp_path)
+    for case in plan.cases:
+        voting, column = case.values["method"] != "bp", 100 if case.values["interval_deg"] == 10.0 else 50
+        tried = packed({(3 * voting, column): -9}, rows=len(SUPPORTS_DEG) if voting else 1)
+        rows[case.key] = replace(rows[case.key], metrics=rows[case.key].metrics | {MAP: tried})
+    write_table(build_table(plan.cases, rows), tmp_path / "results" / "first")
+    for interval, column in ((10.0, 100), (30.0, 50)):
+        more = f'rule = "least-mean"\nwhere = {{ interval_deg = [{interval}] }}\n'
+        for case in expand(experiment(tmp_path, SECOND, CALIBRATION + more), tmp_path / "results" / "second").cases:
+            assert case.evaluation.threshold.top_percent == TOP_PERCENTS[column]
+
+
+@pytest.mark.parametrize(
+    ("where", "said"),
+    [
+        ("where = { interval_deg = [25.0] }", r"has no case with interval_deg = 25\.0; allowed: 10, 30"),
+        (
+            'over = ["kappa", "seed"]\nwhere = { kappa = [1.0] }',
+            "has no axis 'kappa'; allowed: interval_deg, offset, seed",
+        ),
+    ],
+)
+def test_values_that_the_other_experiment_lacks_are_refused(tmp_path, where, said):
+    source(tmp_path)
+    settings = experiment(tmp_path, SECOND, CALIBRATION + where + "\n")
+    with pytest.raises(ConfigError, match=said) as error:
+        expand(settings, tmp_path / "results" / "second")
+    assert "\n" not in str(error.value)
+
+
 def test_the_rule_of_the_least_mean_needs_the_other_experiments_maps(tmp_path):
     """Maps are kept beside the table, not in it; the file is asked for by name where it is missing or damaged."""
     plan, rows = source(tmp_path)
@@ -295,6 +344,15 @@ def test_calibration_with_given_thresholds_is_refused(tmp_path):
         (SECOND, CALIBRATION + "over = []\n", "calibration.over"),
         (SECOND, '[calibration]\nfrom = "../first"\n', "calibration.from"),
         (SECOND, CALIBRATION + 'scenes = ["star"]\n', "scenes: needs 'scene' in over"),
+        (
+            SECOND,
+            CALIBRATION + "where = { interval = [5.0] }\n",
+            "where: 'interval' is no axis of over, which is interval",
+        ),
+        (SECOND, CALIBRATION + "where = { snr_db = [5.0] }\n", "where: 'snr_db' is no axis of over"),
+        (SECOND, HELD_OUT + 'where = { scene = ["box"] }\n', r"where: 'scene' is no axis of over.*write scenes = "),
+        (SECOND, CALIBRATION + "where = { interval_deg = [] }\n", "where: 'interval_deg' is empty"),
+        (SECOND, CALIBRATION + "where = { interval_deg = 5.0 }\n", r"calibration\.where\.interval_deg = 5\.0"),
     ],
 )
 def test_a_calibration_that_cannot_be_is_refused(tmp_path, axes, more, said):
