@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from mvla_sim.channel.cir import INTERACTIONS, Cir
 from mvla_sim.channel.components import Components
@@ -22,6 +22,16 @@ __all__ = ["PathSettings", "choose_paths"]
 _AGREES: Final = 5e-3  # of a diffracted gain as it was traced, in float32, and in closed form
 
 
+InteractionNames = tuple[Literal["specular", "diffuse", "refraction", "diffraction"], ...]
+
+
+def _split(value: Any) -> Any:
+    """Interactions of one text, as axes, which have no lists, give them."""
+    if isinstance(value, str):
+        return tuple(value.split("+"))
+    return tuple(value) if isinstance(value, list) else value
+
+
 class PathSettings(Settings):
     """What is made of the paths of a traced channel before anything else; by default they are taken as they are.
 
@@ -30,13 +40,14 @@ class PathSettings(Settings):
 
     scattering_coefficient: Annotated[float, Field(ge=0, le=1)] | None = Field(
         None,
-        description="S of all objects instead of that they were traced with, without tracing anew: paths of one "
-        "interaction are weighed, diffuse ones by S, specular ones by √(1 − S²), diffracted ones by what both make of "
-        "them; by default as traced",
+        description="S of all objects, instead of that of the scene: traced paths of depth 1 are weighed, diffuse ones "
+        "by S, specular ones by √(1 − S²), and nothing is traced anew; by default as traced",
     )
-    interactions: (
-        Annotated[tuple[Literal["specular", "diffuse", "refraction", "diffraction"], ...], Field(min_length=1)] | None
-    ) = Field(None, description="paths of these interactions alone, as ['specular', 'diffuse']; by default all")
+    interactions: Annotated[InteractionNames, BeforeValidator(_split), Field(min_length=1)] | None = Field(
+        None,
+        description="paths of these interactions alone, as ['specular', 'diffuse'] or, in an axis, 'specular+diffuse'; "
+        "by default all",
+    )
     strongest: Annotated[int, Field(ge=1)] | None = Field(
         None, description="paths kept a view, as ray tracers that store a limited number do, often 25; by default all"
     )

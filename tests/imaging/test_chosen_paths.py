@@ -170,6 +170,8 @@ def test_interactions_are_chosen_if_all_of_a_path_are():
         found = choose_paths(traced_cir(kinds=kinds), PathSettings(interactions=names))
         assert found.interaction.tolist() == left
         assert found.row_size.tolist() == [len(left)]
+    joined = mv.imaging_settings(["paths.interactions=specular+diffuse"]).paths  # axes of experiments have no lists
+    assert joined == mv.imaging_settings(**{"paths.interactions": ["specular", "diffuse"]}).paths
     with pytest.raises(DataError) as error:
         choose_paths(traced_cir(kinds=kinds), PathSettings(interactions=("refraction",)))
     assert str(error.value) == (
@@ -222,7 +224,8 @@ def test_measured_channels_have_no_paths_to_choose(given):
 @pytest.mark.parametrize(
     ("key", "value"),
     [("scattering_coefficient", -0.1), ("scattering_coefficient", 1.1), ("strongest", 0), ("strongest", 2.5),
-     ("interactions", []), ("interactions", ["specular", "reflection"])],
+     ("interactions", []), ("interactions", ["specular", "reflection"]), ("interactions", "specular+"),
+     ("interactions", "")],
 )  # fmt: skip
 def test_bad_values_are_refused(key, value):
     with pytest.raises(ConfigError) as error:

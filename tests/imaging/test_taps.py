@@ -38,10 +38,10 @@ def pulse(window, pdp, range_m):
 
 
 @pytest.mark.parametrize("window", WINDOWS)
-@pytest.mark.parametrize("oversampling", [1, 2, 3, 8])
+@pytest.mark.parametrize("oversampling", [1, 2, 5])
 def test_sum_of_powers_is_that_by_hand(window, oversampling):
     """One sample per 1/B too, where the spectrum of |p|² is wider than the axis can hold."""
-    cir = random_channel(3, ring(2), paths=30, low_m=8.2, high_m=11.8)
+    cir = random_channel(3, ring(2), paths=6, low_m=8.2, high_m=11.8)
     pdp = pdp_of(cir, sum="powers", window=window, oversampling=oversampling)
     assert pdp.amplitude is None
     for view in range(2):
