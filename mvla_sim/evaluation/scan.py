@@ -61,13 +61,18 @@ class ScanSettings(Settings):
         """Whether every T_θ is tried."""
         return self.max_support_deg is None and self.support_step_deg is None
 
+    @property
+    def bounds_area(self) -> bool:
+        """Whether p is bounded, in per cent or as an area."""
+        return self.max_percent is not None or self.max_area_m2 is not None
+
     def largest_count(self, grid: VoxelGrid) -> int:
         """Most voxels that a top-p% set within the bounds has, whatever the step.
 
         Raises
         ------
         ConfigError
-            The bound holds no voxel of this grid.
+            The bound holds no voxel of this grid, or less than one step.
         """
         if self.max_area_m2 is not None:
             count = self.max_area_m2 / grid.spacing_m**2
@@ -80,6 +85,13 @@ class ScanSettings(Settings):
         count = int(np.floor(count * (1 + SAME)))
         if count < 1:
             raise ConfigError(f"evaluation.scan.{bound}: is below one voxel of the grid; must be at least {allowed}")
+        if self.max_area_m2 is not None and self.step_percent is not None:
+            step = max(1, round(self.step_percent / 100 * grid.size))
+            if step > count:
+                raise ConfigError(
+                    f"evaluation.scan.{bound}: is below one step of {self.step_percent:g} %; must be at least "
+                    f"{step * grid.spacing_m**2:g} m²"
+                )
         return min(count, grid.size)
 
     def counts(self, grid: VoxelGrid) -> tuple[NDArray[np.intp], NDArray[np.float64]] | None:
@@ -88,7 +100,7 @@ class ScanSettings(Settings):
         Raises
         ------
         ConfigError
-            The bound holds no voxel of this grid, or not one step.
+            The bound holds no voxel of this grid, or less than one step.
         """
         largest = self.largest_count(grid)
         if self.step_percent is None:
@@ -97,12 +109,6 @@ class ScanSettings(Settings):
         percent = np.minimum(np.round(self.step_percent * steps, 12), 100.0)
         count = np.maximum(1, np.rint(percent / 100 * grid.size)).astype(np.intp)  # as top_count
         inside = count <= largest if self.max_percent is None else percent <= self.max_percent * (1 + SAME)
-        if not inside.any():
-            area = self.step_percent / 100 * grid.size * grid.spacing_m**2
-            raise ConfigError(
-                f"evaluation.scan.max_area_m2 = {self.max_area_m2:g}: is below one step of {self.step_percent:g} %; "
-                f"must be at least {area:g} m²"
-            )
         count, first = np.unique(count[inside], return_index=True)
         return count, percent[inside][first]
 

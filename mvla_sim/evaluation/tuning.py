@@ -272,8 +272,8 @@ class _Table:
     """Lower bounds of CD for blocks of n at several T_θ, all at once.
 
     Block e holds the n with ``edges[e] < n <= edges[e + 1]``. Within it A is at least its value at the block's end,
-    B at least its value before the block, and k at most its value at the end. Where the block's end is the only n of it
-    that is tried, B too is that at the end.
+    B at least its value before the block, and k at most its value at the end. Where a scan's step leaves the end as the
+    only n of the block that is tried, B too is that at the end.
     """
 
     def __init__(self, ranking: _Ranking, edges: Integers, first: int, stop: int, floor: Floats) -> None:
@@ -294,9 +294,9 @@ class _Table:
         self.kept = added.cumsum(axis=1).astype(float)
         self.kept[added == 0] = np.nan  # nothing is retained in the block, so no prefix ends there
         self.back = back.cumsum(axis=1)
-        tried = edges if ranking.counts is None else np.searchsorted(ranking.counts, edges, side="right")
-        several = np.diff(tried) > 1
-        self.back[:, several] -= back[:, several]
+        if ranking.counts is not None:
+            back[:, np.diff(np.searchsorted(ranking.counts, edges, side="right")) == 1] = 0
+        self.back -= back
         self.floor = np.tile(floor, (stop - first, 1))
         self.bound = np.empty(self.floor.shape)
         self.lowest = np.empty(stop - first)

@@ -15,6 +15,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from mvla_sim.errors import ConfigError
 from mvla_sim.evaluation.evaluate import EvaluationSettings
+from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.imaging_settings import ImagingSettings
 from mvla_sim.imaging.method import METHODS
 from mvla_sim.imaging.view_selection import ViewSettings, select_views
@@ -108,8 +109,7 @@ class CaseBuilder:
         points = [first, *(first | {axis: value} for axis, values in product.axes.items() for value in values[1:])]
         for name, values in itertools.product(self._scene_names(product), points):
             one = next(self._offsets(blocks, name, values))
-            blocks.settings("imaging", ImagingSettings, one)
-            blocks.settings("evaluation", EvaluationSettings, one)
+            self._settings(blocks, one)
 
     def _scene_names(self, product: Product) -> list[str]:
         if product.scenes is not None:
@@ -137,9 +137,16 @@ class CaseBuilder:
         else:
             yield from ({**values, offset: number} for number in range(stride))
 
-    def _case(self, blocks: _Blocks, number: int, name: str, values: Values) -> Case:
+    def _settings(self, blocks: _Blocks, values: Values) -> tuple[ImagingSettings, EvaluationSettings]:
+        """Settings of an image and its evaluation; refuses a scan whose bounds hold no voxel of the grid."""
         imaging = blocks.settings("imaging", ImagingSettings, values)
         evaluation = blocks.settings("evaluation", EvaluationSettings, values)
+        if evaluation.scan.bounds_area:
+            evaluation.scan.largest_count(VoxelGrid.from_settings(imaging.grid))
+        return imaging, evaluation
+
+    def _case(self, blocks: _Blocks, number: int, name: str, values: Values) -> Case:
+        imaging, evaluation = self._settings(blocks, values)
         channel = self._channel(blocks, name, values)
         scene = None if name in self._of_files else blocks.scene(name, values)
         columns = {"scene": name, **blocks.product.labels, **values}

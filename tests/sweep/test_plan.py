@@ -14,7 +14,7 @@ from mvla_sim.errors import ConfigError
 from mvla_sim.evaluation.evaluate import EvaluationSettings
 from mvla_sim.imaging.imaging_settings import imaging_settings
 from mvla_sim.imaging.view_selection import select_views
-from mvla_sim.sweep.case import Case
+from mvla_sim.sweep.case import Case, setting_columns
 from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.schedule import case_seconds, groups_of
@@ -257,3 +257,32 @@ def test_settings_of_a_function_on_the_method_axis(tmp_path):
     assert plan.cases[1].imaging.chosen.power == 3.0
     with pytest.raises(ConfigError, match=r"sharper\.pwr: unknown key"):
         experiment(tmp_path, f"method = ['bp', '{name}']\n", more="[imaging.sharper]\npwr = 3.0\n")
+
+
+def test_bounds_of_the_scan_are_swept_and_are_columns(tmp_path):
+    """Which they are not of the same case: another bound may have another optimum."""
+    plan = expand(experiment(tmp_path, '"evaluation.scan.max_area_m2" = ["none", 1.0, 0.5]\n'))
+    columns = [setting_columns(case)["evaluation.scan.max_area_m2"] for case in plan.cases]
+    assert columns == [None, 1.0, 0.5]
+    assert len({case.key for case in plan.cases}) == 3
+
+
+@pytest.mark.parametrize(
+    ("axes", "said"),
+    [
+        ('"scan.max_area_m2" = [1.0, 0.009]\n', r"max_area_m2 = 0\.009: is below one voxel .* at least 0\.01 m²"),
+        (
+            '"scan.max_percent" = [0.1]\n"grid.spacing_m" = [0.1, 0.2]\n',
+            r"max_percent = 0\.1: is below one voxel .* at least 0\.25 %",
+        ),
+        (
+            '"scan.max_area_m2" = [0.1]\n"scan.step_percent" = [1.0]\n',
+            r"max_area_m2 = 0\.1: is below one step of 1 %; must be at least 0\.16 m²",
+        ),
+        ('"evaluation.thickness_m" = [0.1]\n"evaluation.truth" = ["filled"]\n', r"thickness_m = 0\.1: is of a contour"),
+    ],
+)
+def test_an_evaluation_that_cannot_be_is_refused_before_anything_runs(tmp_path, axes, said):
+    with pytest.raises(ConfigError, match=said) as error:
+        expand(experiment(tmp_path, axes))
+    assert "\n" not in str(error.value)
