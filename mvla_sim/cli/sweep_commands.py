@@ -80,21 +80,25 @@ def reproduce(
     experiments: Annotated[
         Path | None, typer.Option(help="Folder with the experiment files; by default those that come along.")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="One noise seed, no sensitivity study.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="One noise seed.")] = False,
+    reading: Annotated[
+        list[str] | None, typer.Option(help="Reading of the paper; default paper and physical. May be repeated.")
+    ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     cache_url: CacheUrl = None,
 ) -> None:
-    """Run every experiment of the paper that is not stored yet, judge its claims, and write the report."""
+    """Run the paper's experiments under each reading, unless they are stored; judge its claims, write the report."""
     from mvla_sim.cli.measured_commands import show_processed
     from mvla_sim.cluster.opening import open_cluster
     from mvla_sim.engine.cache import shared_cache
+    from mvla_sim.paper.reading_sections import READINGS
     from mvla_sim.paper.reproduce import MeasurementStep, RunStep
     from mvla_sim.paper.reproduce import reproduce as steps
 
     code = 0
     with shared_cache(cache_url), open_cluster(workers, scheduler, note) as cluster:
-        for step in steps(experiments, output, cluster=cluster, quick=quick):
+        for step in steps(experiments, output, cluster=cluster, quick=quick, readings=reading or READINGS):
             if isinstance(step, RunStep):
                 code = max(code, _show_run(step.plan, step.result, step.pictures))
             elif isinstance(step, MeasurementStep):

@@ -1,4 +1,4 @@
-"""Figures of the paper's experiments: parameter maps, CD against the interval per SNR, examples, sensitivity.
+"""Figures of the paper's experiments: parameter maps, CD against the interval per SNR, examples.
 
 ``title``, ``figure`` and ``ax`` are as in :mod:`mvla_sim.plot`.
 """
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
@@ -22,13 +21,11 @@ from mvla_sim.imaging.image import Image
 from mvla_sim.paper.averages import finite
 from mvla_sim.paper.claims import PAPER_ETA, PAPER_KAPPA
 from mvla_sim.plot import drawing, style
-from mvla_sim.plot.drawing import Panel
 from mvla_sim.plot.style import Given
 
-__all__ = ["parameter_maps", "plot_cd_panels", "plot_examples", "plot_parameter_maps", "plot_verdicts"]
+__all__ = ["parameter_maps", "plot_cd_panels", "plot_examples", "plot_parameter_maps"]
 
 METHODS = {"mvla-gr": ("MVLA-GR", "blue", "o"), "bp": ("BP", "vermilion", "s")}
-VERDICTS = {"holds": "✓", "does not hold": "✗", "not tested": "–"}
 
 
 def plot_parameter_maps(table: pd.DataFrame, only: str | None = None, *, figure: Given | None = None) -> Figure | Given:
@@ -164,24 +161,6 @@ def plot_examples(
             axes.set_title(label)
         style.figure_legend(canvas, list(handles.values()), columns=4)
     return canvas
-
-
-def plot_verdicts(verdicts: pd.DataFrame, *, ax: Panel | None = None) -> Figure | Panel:
-    """Draw a matrix of verdicts, ``holds``, ``does not hold`` or ``not tested``: a row a variant, a column a claim."""
-    order = list(VERDICTS)
-    codes = verdicts.map(order.index).to_numpy()
-    colors = ListedColormap([style.COLORS["sky"], style.COLORS["orange"], "#EEEEEE"])
-    with style.figure_style():
-        figure = style.new_figure(style.DOUBLE_COLUMN_IN * 0.75, 0.6 + 0.16 * len(verdicts))
-        axes = figure.subplots() if ax is None else ax
-        axes.imshow(codes, aspect="auto", cmap=colors, vmin=0, vmax=2)
-        for (row, column), code in np.ndenumerate(codes):
-            axes.text(column, row, VERDICTS[order[code]], ha="center", va="center")
-        axes.set_xticks(range(verdicts.shape[1]), list(verdicts.columns))
-        axes.set_yticks(range(verdicts.shape[0]), list(verdicts.index))
-        axes.xaxis.tick_top()
-        axes.tick_params(length=0)
-    return figure if ax is None else ax
 
 
 def _draw_parameter_map(axes: Axes, grid: pd.DataFrame, limits: tuple[float, float], *, write: bool) -> AxesImage:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +16,8 @@ from mvla_sim.files import atomic_output, make_folder
 from mvla_sim.measured.process import Processed, load_process, process
 from mvla_sim.measured.process_files import write_processed
 from mvla_sim.paper.checks import count_work, measure_phase
-from mvla_sim.paper.report import draw_examples, write_report
+from mvla_sim.paper.reading_sections import READINGS, draw_examples
+from mvla_sim.paper.report import write_report
 from mvla_sim.pictures.run_pictures import draw_run
 from mvla_sim.scene.world import Scene
 from mvla_sim.shipped import shipped_folder
@@ -26,13 +27,10 @@ from mvla_sim.sweep.run import RunResult, run_plan
 
 __all__ = ["EXPERIMENTS", "MEASURED", "MeasurementStep", "RunStep", "reproduce"]
 
-EXPERIMENTS: Final = (
-    "main", "kappa-eta", "star-optimal", "star-calibrated", "examples", "sensitivity-star", "sensitivity-map",
-)  # fmt: skip
+EXPERIMENTS: Final = ("main", "kappa-eta", "star-optimal", "star-calibrated", "examples")
 """Experiments in the order they run; the calibrated one needs the optimal one's table."""
 MEASURED: Final = ("vehicle", "vehicle-3d")
 """Measurements that are processed, not swept."""
-QUICK_SKIPS: Final = ("sensitivity-star", "sensitivity-map")
 QUICK_OVERRIDES: Final = dict.fromkeys(("kappa-eta", "star-optimal", "star-calibrated"), ("axes.seed=[0]",))
 
 
@@ -55,35 +53,60 @@ class MeasurementStep:
 
 
 def reproduce(
-    experiments: Path | None, folder: Path, *, cluster: Cluster, quick: bool = False
+    experiments: Path | None,
+    folder: Path,
+    *,
+    cluster: Cluster,
+    quick: bool = False,
+    readings: Sequence[str] = READINGS,
 ) -> Iterator[RunStep | MeasurementStep | Path]:
     """Run the experiments, the checks, and build the report from what they stored; yield each when it is finished.
 
-    ``experiments`` is the folder with their files, None for those of this package. ``folder`` gets one for each, and
-    last the report is yielded. ``quick``: one noise seed, no sensitivity study. Raises DataError where an
-    experiment file is missing; nothing has run by then.
+    Parameters
+    ----------
+    experiments
+        Folder with their files; None for those of this package.
+    folder
+        Gets a folder a reading, with one for each experiment, and one for each measurement; the report last.
+    quick
+        One noise seed.
+    readings
+        Readings that each experiment is run under; see :mod:`mvla_sim.imaging.reading`.
+
+    Raises
+    ------
+    DataError
+        An experiment or a reading is missing; nothing has run by then.
+    ConfigError
+        A reading is not valid.
     """
     experiments = experiments or shipped_folder("experiments")
-    names = [name for name in EXPERIMENTS if not (quick and name in QUICK_SKIPS)]
-    files = {name: _file(experiments, name) for name in (*names, *MEASURED)}
+    files = {name: _file(experiments, name) for name in (*EXPERIMENTS, *MEASURED)}
+    chosen = {
+        (Path(reading).stem, name): load_experiment(
+            files[name], [f"reading={reading}", *(QUICK_OVERRIDES.get(name, ()) if quick else ())]
+        )
+        for reading in readings
+        for name in EXPERIMENTS
+    }
     seconds: dict[str, float] = {}
-    for name in names:
+    for (reading, name), settings in chosen.items():
         began = time.perf_counter()
-        settings = load_experiment(files[name], QUICK_OVERRIDES.get(name, ()) if quick else ())
-        plan = expand(settings, folder / name, None)
-        result = run_plan(plan, folder / name, cluster=cluster)
-        pictures = draw_run(plan, result.table, folder / name)
+        place = folder / reading / name
+        plan = expand(settings, place, None)
+        result = run_plan(plan, place, cluster=cluster)
+        pictures = draw_run(plan, result.table, place)
         if name == "examples":
-            pictures += draw_examples(plan, folder / name)
-        seconds[name] = time.perf_counter() - began
+            pictures += draw_examples(plan, place)
+        seconds[f"{reading}/{name}"] = time.perf_counter() - began
         yield RunStep(plan, result, pictures)
     for name in MEASURED:
         began = time.perf_counter()
-        chosen = load_process(files[name])
-        done = process(chosen, make_folder(folder / name))
-        written = write_processed(done, chosen, folder / name)
+        measurement = load_process(files[name])
+        done = process(measurement, make_folder(folder / name))
+        written = write_processed(done, measurement, folder / name)
         seconds[name] = time.perf_counter() - began
-        yield MeasurementStep(chosen.name, done, written)
+        yield MeasurementStep(measurement.name, done, written)
     began = time.perf_counter()
     star = Scene.load(experiments.parent / "scenes" / "star.toml")
     _write(folder / "checks.json", {"c15": count_work(), "c16": measure_phase(simulate(star))})

@@ -16,7 +16,7 @@ from mvla_sim.sweep.case import MAP, Case, Row, setting_columns
 
 __all__ = [
     "AVERAGED", "FILE", "MAPS", "PARQUET", "RECORD", "averaged", "build_table", "load_maps", "load_table",
-    "write_table",
+    "write_csv", "write_table",
 ]  # fmt: skip
 
 FILE: Final = "table.csv"
@@ -69,12 +69,17 @@ def write_table(table: pd.DataFrame, folder: Path) -> list[Path]:
         files.append(maps)
     else:
         maps.unlink(missing_ok=True)  # of cases that are no more
-    with atomic_output(csv) as temporary:
-        table.to_csv(temporary, index=False, float_format="%.9g")
+    write_csv(table, csv, digits=9)
     mixed = [name for name in table.columns if table[name].dropna().map(type).nunique() > 1]
     with atomic_output(parquet) as temporary:
         table.astype(dict.fromkeys(mixed, str)).to_parquet(temporary, engine="pyarrow", index=False)
     return files
+
+
+def write_csv(table: pd.DataFrame, file: Path, digits: int = 6) -> None:
+    """Write a table with numbers of so many digits. Raises OutputError."""
+    with atomic_output(file) as temporary:
+        table.to_csv(temporary, index=False, float_format=f"%.{digits}g")
 
 
 def load_maps(folder: str | os.PathLike[str]) -> dict[str, str]:

@@ -12,7 +12,7 @@ import shapely
 from mvla_sim.errors import DataError
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.image import Image
-from mvla_sim.paper.panels import parameter_maps, plot_cd_panels, plot_examples, plot_parameter_maps, plot_verdicts
+from mvla_sim.paper.panels import parameter_maps, plot_cd_panels, plot_examples, plot_parameter_maps
 from mvla_sim.plot.style import save_figure
 
 
@@ -102,10 +102,3 @@ def test_examples_are_a_panel_each(tmp_path):
     assert (tmp_path / "examples.png").stat().st_size > 5000
     with pytest.raises(DataError, match="equally many"):
         plot_examples([image], [], [mask], ["a"])
-
-
-def test_verdicts_say_each_in_a_sign():
-    table = pd.DataFrame({"C1": ["holds", "not tested"], "C2": ["does not hold", "holds"]}, index=["a", "b"])
-    axes = plot_verdicts(table).axes[0]
-    signs = {text.get_position(): text.get_text() for text in axes.texts}
-    assert signs == {(0, 0): "✓", (1, 0): "✗", (0, 1): "–", (1, 1): "✓"}

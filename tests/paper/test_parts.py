@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from mvla_sim.paper.ablation import plot_ablation
 from mvla_sim.paper.fair import plot_fair
-from mvla_sim.paper.panels import plot_cd_panels, plot_parameter_maps, plot_verdicts
+from mvla_sim.paper.panels import plot_cd_panels, plot_parameter_maps
 
 POINTS = itertools.product((0.0, 20.0), (1.0, 30.0), ("mvla-gr", "bp"), range(2))
 STAR = pd.DataFrame(POINTS, columns=["snr_db", "interval_deg", "method", "seed"]).assign(
@@ -39,9 +39,3 @@ def test_a_part_of_a_figure_is_drawn_into_and_returned(name, layout):
     assert not below.axes
     above.figure.canvas.draw()
     assert DRAWN[name]()._repr_png_()[0].startswith(b"\x89PNG")
-
-
-def test_verdicts_take_axes():
-    ax = Figure().subplots()
-    assert plot_verdicts(pd.DataFrame({"C1": ["holds"]}, index=["a"]), ax=ax) is ax
-    assert [text.get_text() for text in ax.texts] == ["✓"]

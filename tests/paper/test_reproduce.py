@@ -10,7 +10,7 @@ from command_line import mvla
 
 from mvla_sim.measured.process import load_process
 from mvla_sim.paper import reproduce as reproduce_module
-from mvla_sim.paper.reproduce import EXPERIMENTS, MEASURED, QUICK_OVERRIDES, QUICK_SKIPS
+from mvla_sim.paper.reproduce import EXPERIMENTS, MEASURED, QUICK_OVERRIDES
 from mvla_sim.scene.world import Scene
 from mvla_sim.sweep.experiment import load_experiment
 
@@ -28,7 +28,6 @@ diffraction = false
 """
 GRID = "[imaging.grid]\nspacing_m = 0.25\n"
 STAR = 'snr_db = [0.0, 20.0]\nseed = [0, 1]\ninterval_deg = [30.0, 60.0]\nmethod = ["mvla-gr", "bp"]\n'
-VARIANTS = '[[variants]]\nlabel = "default"\n[[variants]]\nlabel = "3 σ"\nset = { threshold_sigma = 3.0 }\n'
 MEASUREMENT = """
 name = "{name}"
 scene = "../scenes/star.toml"
@@ -51,10 +50,9 @@ def work(tmp_path_factory):
     for name in ("star", "circle"):
         (folder / "scenes" / f"{name}.toml").write_text(SCENE.format(name=name))
     for name in EXPERIMENTS:
-        scenes = MAP if name in ("kappa-eta", "sensitivity-map") else 'scenes = ["../scenes/star.toml"]\n'
+        scenes = MAP if name == "kappa-eta" else 'scenes = ["../scenes/star.toml"]\n'
         axes = "kappa = [0.5, 1.0]\neta = [0.0, 0.04]\nseed = [0]\n" if scenes == MAP else STAR
-        more = VARIANTS if name in QUICK_SKIPS else ""
-        more += '[calibration]\nfrom = "star-optimal"\n' if name == "star-calibrated" else ""
+        more = '[calibration]\nfrom = "star-optimal"\n' if name == "star-calibrated" else ""
         text = f'name = "{name}"\n{scenes}{GRID}[axes]\n{axes}{more}'
         (folder / "experiments" / f"{name}.toml").write_text(text)
     for name, height in zip(MEASURED, (0, 1), strict=True):
@@ -70,11 +68,17 @@ def test_everything_runs_and_the_report_can_be_rebuilt_from_what_is_stored(work)
     text = mvla("reproduce", "--experiments", "experiments", "--workers", 0, folder=work, notes=True)
     results = work / "results"
     assert "report.html" in text
-    assert {p.name for p in results.iterdir() if p.is_dir()} == {*EXPERIMENTS, *MEASURED}
+    assert {p.name for p in results.iterdir() if p.is_dir()} == {"paper", "physical", *MEASURED}
+    for reading in ("paper", "physical"):
+        assert {p.name for p in (results / reading).iterdir() if p.is_dir()} == set(EXPERIMENTS)
     checks = json.loads((results / "checks.json").read_text())
     assert set(checks) == {"c15", "c16"}
     assert max(checks["c16"]["largest_score_change"].values()) < 1e-5
-    assert set(json.loads((results / "run.json").read_text())["seconds"]) == {*EXPERIMENTS, *MEASURED, "checks"}
+    assert set(json.loads((results / "run.json").read_text())["seconds"]) == {
+        *(f"{reading}/{name}" for reading in ("paper", "physical") for name in EXPERIMENTS),
+        *MEASURED,
+        "checks",
+    }
     page = (results / "report.html").read_bytes()
     assert b"Not run." not in page
     (results / "report.html").unlink()
@@ -100,7 +104,7 @@ def test_an_empty_folder_is_enough(tmp_path, monkeypatch):
     monkeypatch.setattr(reproduce_module, "run_plan", run_plan)
     with pytest.raises(KeyboardInterrupt):
         next(reproduce_module.reproduce(None, Path("results"), cluster=None))
-    assert started == [("main", 144, Path("results/main"))]
+    assert started == [("main", 144, Path("results/paper/main"))]
 
 
 def test_report_of_nothing_is_refused(tmp_path):
