@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,7 +111,7 @@ class Views:
             raise DataError(f"views: view {view} stands above the centre, so it cannot point at it; give boresights")
         return np.asarray(towards / length, np.float64)
 
-    @property
+    @functools.cached_property
     def closed(self) -> bool:
         """Whether the views go all the way round.
 
