@@ -145,7 +145,7 @@ def test_tables_without_a_usable_case_count_as_not_run(results, tmp_path, conten
 
 
 def test_a_processed_vehicle_is_shown_and_judged(results, tmp_path):
-    shutil.copytree(results / "kappa-eta", tmp_path / "all" / "kappa-eta")
+    shutil.copytree(results / "paper" / "kappa-eta", tmp_path / "all" / "paper" / "kappa-eta")
     vehicle = tmp_path / "all" / "vehicle"
     vehicle.mkdir()
     figures = {f"{who}_{what}": value for who in ("result", "target") for what, value in
