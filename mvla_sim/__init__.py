@@ -180,6 +180,7 @@ if TYPE_CHECKING:
     from mvla_sim.scene.world import (
         load_scene as load_scene,
     )
+    from mvla_sim.sweep.design_run import load_design as load_design
     from mvla_sim.sweep.experiment import ExperimentSettings as ExperimentSettings
     from mvla_sim.sweep.experiment import load_experiment as load_experiment
     from mvla_sim.sweep.run import run_experiment as run_experiment
@@ -260,6 +261,7 @@ _PUBLIC = {
     "scene.trajectory": "Trajectory",
     "scene.views": "Views",
     "scene.world": "Scene SceneObject SceneSettings load_scene",
+    "sweep.design_run": "load_design",
     "sweep.experiment": "ExperimentSettings load_experiment",
     "sweep.run": "run_experiment",
     "sweep.table": "load_table",

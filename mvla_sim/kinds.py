@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import functools
 import hashlib
 import importlib
+import importlib.util
 import inspect
 import json
 import pkgutil
+import sys
+import types
 import typing
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
@@ -25,7 +29,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 from mvla_sim.errors import ConfigError, reason
 from mvla_sim.settings import Settings
 
-__all__ = ["Kind", "Kinds", "source_digest"]
+__all__ = ["Kind", "Kinds", "module_of_file", "source_digest"]
 
 OWN: Final = "mvla_sim."
 """Where the names of this package's modules begin."""
@@ -235,6 +239,57 @@ class Kinds(Generic[K]):
             package = importlib.import_module(self.home)
             for module in pkgutil.iter_modules(package.__path__):
                 importlib.import_module(f"{self.home}.{module.name}")
+
+
+def module_of_file(file: Path, what: str) -> tuple[types.ModuleType, str]:
+    """Import a Python file under a name of its own, once for each of its versions.
+
+    Parameters
+    ----------
+    file
+        The file.
+    what
+        The setting that names it, for messages: "method = 'mine.py:image'".
+
+    Returns
+    -------
+    module, str
+        The module, and the SHA-256 of the file in hexadecimal.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read or imported; one line.
+    """
+    try:
+        stamp = file.stat()
+        return _imported(file.resolve(), (stamp.st_mtime_ns, stamp.st_size))
+    except OSError as error:
+        raise ConfigError(f"{what}: {file} cannot be read ({error.strerror})") from error
+    except _BrokenFileError as error:
+        raise ConfigError(f"{what}: {file.name} cannot be imported ({error})") from error
+
+
+class _BrokenFileError(Exception):
+    """Why a file cannot be imported."""
+
+
+@functools.lru_cache(maxsize=32)
+def _imported(file: Path, stamp: tuple[int, int]) -> tuple[types.ModuleType, str]:
+    del stamp
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    name = f"mvla_file_{digest[:16]}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None  # the name ends with .py
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses and pickle look there
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        del sys.modules[name]
+        raise _BrokenFileError(reason(error)) from error
+    return module, digest
 
 
 def source_digest(cls: type) -> str:

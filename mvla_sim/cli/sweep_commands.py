@@ -12,8 +12,11 @@ from rich.table import Table
 from mvla_sim.cli.options import CacheUrl, Overrides, Scheduler, Workers, duration, note, say, show, wrote
 
 if TYPE_CHECKING:
+    from mvla_sim.sweep.design_plan import DesignPlan
+    from mvla_sim.sweep.design_run import DesignResult, RoundState
+    from mvla_sim.sweep.experiment import ExperimentSettings
     from mvla_sim.sweep.plan import Plan
-    from mvla_sim.sweep.run import RunResult
+    from mvla_sim.sweep.session import RunResult
     from mvla_sim.sweep.survey import Survey
 
 __all__ = ["sweep_app"]
@@ -23,6 +26,8 @@ sweep_app = typer.Typer()
 MOST_ROWS: Final = 40
 """Longer tables are not printed."""
 FIRST_ERRORS: Final = 3
+BEST: Final = 10
+"""Samples of a design that are printed."""
 HEADS: Final = {"cd_db": "CD dB(m²)", "top_percent": "p %", "min_support_deg": "T_θ °", "f1_10cm": "F1 10 cm"}
 
 ResultsFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder of the results.")]
@@ -46,6 +51,8 @@ def run(
 ) -> None:
     """Run the cases of an experiment that are not stored yet; write its table and pictures.
 
+    An experiment with a design is run round by round, and the best of its samples are printed.
+
     Every finished case is stored at once, so a run can be stopped at any time and goes on when it is started again.
     Tables are written as CSV and as Parquet.
     """
@@ -62,7 +69,11 @@ def run(
 
     settings = load_experiment(experiment, overrides or [])
     folder = output or Path("results") / settings.name
-    plan = expand(settings, folder, None if yes else CASE_LIMIT)
+    limit = None if yes else CASE_LIMIT
+    if settings.design is not None:
+        with shared_cache(cache_url):
+            raise typer.Exit(_run_design(settings, folder, limit, (workers, scheduler), dry_run=dry_run, fresh=fresh))
+    plan = expand(settings, folder, limit)
     if dry_run:
         count = core_count() if workers is None else max(1, workers)
         _show_survey(plan, survey(plan, folder, count), count)
@@ -116,6 +127,67 @@ def report(output: ResultsFolder = Path("results")) -> None:
     say(str(write_report(output)))
 
 
+def _run_design(
+    settings: ExperimentSettings,
+    folder: Path,
+    limit: int | None,
+    workers: tuple[int | None, str | None],
+    *,
+    dry_run: bool,
+    fresh: bool,
+) -> int:
+    """Run a design, or say what would run, and return the exit code."""
+    from mvla_sim.cluster.opening import open_cluster
+    from mvla_sim.engine.machine import core_count
+    from mvla_sim.sweep.design_plan import plan_design
+    from mvla_sim.sweep.design_run import run_design, survey_design
+
+    plan = plan_design(settings, folder, limit)
+    drawn = f"{len(plan.every):,} samples of {len(plan.design.keys)} settings"
+    say(f"{settings.name}: {drawn}" + (f", of which {len(plan.invalid):,} cannot be run" if plan.invalid else ""))
+    if dry_run:
+        count = core_count() if workers[0] is None else max(1, workers[0])
+        _show_rounds(plan, survey_design(plan, folder, count), count)
+        return 0
+    with open_cluster(*workers, note) as cluster:
+        result = run_design(plan, folder, cluster=cluster, fresh=fresh, tell=say)
+    for text in result.notes:
+        note(f"note: {text}")
+    _show_best(plan, result)
+    return _show_end(result, ())
+
+
+def _show_rounds(plan: DesignPlan, rounds: Sequence[RoundState], workers: int) -> None:
+    """Print what each round of a design would run, and about how long it takes."""
+    columns = ("round", "samples", "cases", "stored", f"time with {workers} workers")
+    table = Table(*columns, title=plan.experiment.name)
+    for number, one in enumerate(rounds, 1):
+        found, most = one.survey, "" if one.known else "at most "
+        stored = f"{found.done:,}" if one.known else ""
+        table.add_row(
+            str(number), f"{one.samples:,}", f"{most}{found.cases:,}", stored, f"about {duration(found.seconds)}"
+        )
+    show(table)
+    missing = {channel.scene: channel.views for one in rounds for channel in one.survey.channels if not channel.cached}
+    for scene, views in missing.items():
+        say(f"CIRs:     {scene}: {views} views to trace")
+    measured = all(one.survey.measured for one in rounds if one.known)
+    basis = "from the time of stored cases" if measured else "a guess: nothing was measured yet"
+    say(f"time:     about {duration(sum(one.survey.seconds for one in rounds))} ({basis})")
+
+
+def _show_best(plan: DesignPlan, result: DesignResult) -> None:
+    """Print the best samples."""
+    from mvla_sim.sweep.design_run import best_samples
+
+    grid = Table("sample", "round", plan.design.score, "failed", "settings", title=f"{plan.experiment.name}: the best")
+    for row in best_samples(result.design, BEST).to_dict("records"):
+        values = ", ".join(f"{key} = {_text(row[key])}" for key in plan.design.keys)
+        failed = f"{row['failed']} of {row['cases']}" if row["failed"] else ""
+        grid.add_row(row["sample"], str(row["round"]), _text(row["score"]), failed, values)
+    show(grid)
+
+
 def _show_survey(plan: Plan, found: Survey, workers: int) -> None:
     """Print what a run would do: cases by axis, what is stored and cached, and about how long it takes."""
     table = Table("axis", "values", "", title=plan.experiment.name)
@@ -142,6 +214,11 @@ def _show_run(plan: Plan, result: RunResult, pictures: Sequence[Path]) -> int:
     for text in result.notes:
         note(f"note: {text}")
     _show_table(plan, result)
+    return _show_end(result, pictures)
+
+
+def _show_end(result: RunResult, pictures: Sequence[Path]) -> int:
+    """Print the files of a run and what failed, and return its exit code."""
     wrote(*result.files, what="table")
     wrote(*pictures, what="picture")
     failed = result.table[result.table["status"] == "failed"]

@@ -23,7 +23,8 @@ from mvla_sim.scene.world import Scene
 from mvla_sim.shipped import shipped_folder
 from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.plan import Plan, expand
-from mvla_sim.sweep.run import RunResult, run_plan
+from mvla_sim.sweep.run import run_plan
+from mvla_sim.sweep.session import RunResult
 
 __all__ = ["EXPERIMENTS", "MEASURED", "MeasurementStep", "RunStep", "reproduce"]
 

@@ -22,13 +22,15 @@ SPREAD, CHOICE = set(Spread.model_fields), set(AnyChoice.model_fields)
 
 def _is_distribution(value: Any) -> Any:
     """Tell how distributions are written; what is wrong inside of one is told by itself."""
-    if isinstance(value, dict) and not (value and (set(value) <= SPREAD or set(value) <= CHOICE)):
-        keys = ", ".join(value) or "nothing"
-        raise ValueError(
-            f"a table of {keys} is no distribution; write one value, {{ min, max }} with scale = 'log' or a step, or "
-            f"{{ choices }} with or without weights"
-        )
-    return value
+    if not isinstance(value, dict) or (
+        {"min", "max"} <= value.keys() <= SPREAD or {"choices"} <= value.keys() <= CHOICE
+    ):
+        return value
+    keys = ", ".join(value) or "nothing"
+    raise ValueError(
+        f"a table of {keys} is no distribution; write one value, {{ min, max }} with scale = 'log' or a step, or "
+        f"{{ choices }} with or without weights"
+    )
 
 
 Distribution = Annotated[AxisValue, Drawn(AnyChoice, Spread), BeforeValidator(_is_distribution)]

@@ -12,7 +12,7 @@ from mvla_sim.errors import ConfigError
 from mvla_sim.imaging.pipeline import profile_key, views_needed
 from mvla_sim.scene.views import Views
 from mvla_sim.sweep.batch import ProfileArguments
-from mvla_sim.sweep.case import Case
+from mvla_sim.sweep.case import Case, Once, as_text
 from mvla_sim.sweep.plan import Plan
 from mvla_sim.sweep.sources import Source
 
@@ -45,6 +45,11 @@ class CaseGroup:
     batches: tuple[tuple[Case, ...], ...]  # the cases, in pieces for the workers
 
     @property
+    def share_of_views(self) -> float:
+        """Share of the channel's views whose profiles are needed."""
+        return 1.0 if self.wanted.only is None else len(self.wanted.only) / len(self.source.views)
+
+    @property
     def cases(self) -> tuple[Case, ...]:
         """All cases."""
         return tuple(case for batch in self.batches for case in batch)
@@ -66,7 +71,8 @@ def case_seconds(case: Case, n_view: int) -> float:
 def groups_of(plan: Plan, cases: Sequence[Case], workers: int) -> list[CaseGroup]:
     """Group cases by what decides their profiles, and cut the groups into batches for so many workers.
 
-    Within a group cases are put in an order in which those with the same noise, peaks and profiles are neighbours.
+    Groups of one channel are neighbours, so that a worker reads its file once. Within a group cases are put in an order
+    in which those with the same noise, peaks and profiles are neighbours.
     """
     groups: dict[object, list[Case]] = {}
     keys: dict[object, object] = {}
@@ -76,18 +82,20 @@ def groups_of(plan: Plan, cases: Sequence[Case], workers: int) -> list[CaseGroup
         if place not in keys:
             keys[place] = (case.channel, *profile_key(case.imaging, plan.sources[case.channel].views))
         groups.setdefault(keys[place], []).append(case)
-    target = max(BATCH_S, workers / BATCHES_PER_S)
-    return [_group(plan.sources[group[0].channel], group, target) for group in groups.values()]
+    target, once = max(BATCH_S, workers / BATCHES_PER_S), Once()
+    channels = {channel: place for place, channel in enumerate(dict.fromkeys(case.channel for case in cases))}
+    ordered = sorted(groups.values(), key=lambda group: channels[group[0].channel])
+    return [_group(plan.sources[group[0].channel], group, target, once) for group in ordered]
 
 
-def _group(source: Source, cases: Sequence[Case], target_s: float) -> CaseGroup:
+def _group(source: Source, cases: Sequence[Case], target_s: float, once: Once) -> CaseGroup:
     wanted = ProfileArguments(
         cases[0].imaging,
         _needed(source.views, cases),
         any(case.imaging.noise.uses_amplitude or case.imaging.chosen.uses_amplitude for case in cases),
         source.outline,
     )
-    return CaseGroup(source, wanted, tuple(_cut(_ordered(cases), len(source.views), target_s)))
+    return CaseGroup(source, wanted, tuple(_cut(_ordered(cases, once), len(source.views), target_s)))
 
 
 def _needed(views: Views, cases: Sequence[Case]) -> tuple[int, ...] | None:
@@ -107,14 +115,15 @@ def _needed(views: Views, cases: Sequence[Case]) -> tuple[int, ...] | None:
     return tuple(np.flatnonzero(needed).tolist()) if needed.any() else None
 
 
-def _ordered(cases: Sequence[Case]) -> list[Case]:
+def _ordered(cases: Sequence[Case], once: Once) -> list[Case]:
     """Neighbours share as much as possible; otherwise in the order of the plan."""
     places: dict[object, int] = {}
 
     def place(case: Case) -> tuple[int, ...]:
         settings = case.imaging
-        parts = (settings.noise, settings.peaks, (settings.method, settings.chosen, settings.mvla), case.evaluation)
-        return tuple(places.setdefault((index, repr(part)), len(places)) for index, part in enumerate(parts))
+        method = (settings.method, once(as_text, settings.chosen), once(as_text, settings.mvla))
+        parts = (once(as_text, settings.noise), once(as_text, settings.peaks), method, once(as_text, case.evaluation))
+        return tuple(places.setdefault((index, part), len(places)) for index, part in enumerate(parts))
 
     return sorted(cases, key=place)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sqlite3
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -40,10 +41,12 @@ def identity(plan: Plan) -> Identity:
     """Everything that must stay the same for two runs to share a store: all settings but the values of the axes.
 
     Returns the flat settings under ``experiment``, and those of each scene under ``scene NAME``. Settings that an axis
-    replaces are left out, so values may be added to an axis, and scenes to the experiment.
+    or a design replaces are left out, so values may be added to an axis, samples to a design, and scenes to the
+    experiment.
     """
     experiment = plan.experiment
-    replaced = tuple(dotted_key(axis) or axis for axis in experiment.axes)
+    drawn = experiment.design.keys if experiment.design is not None else ()
+    replaced = tuple(dotted_key(axis) or axis for axis in (*experiment.axes, *drawn))
 
     def flat(data: dict[str, Any]) -> dict[str, Any]:
         pairs = flatten(data, longest=10**9)
@@ -113,7 +116,7 @@ class Store:
         with self._explained():
             found = self._database.execute("SELECT key, status, error, seconds, metrics FROM cases").fetchall()
         try:
-            return {row[0]: Row(row[0], row[1], row[2], row[3], json.loads(row[4])) for row in found}
+            return {row[0]: Row(row[0], row[1], row[2], row[3], _metrics(row[4])) for row in found}
         except ValueError as error:
             raise self._unusable(f"a stored case cannot be read ({error})") from error
 
@@ -219,6 +222,11 @@ class Store:
             if isinstance(error, sqlite3.OperationalError) and "malformed" not in text:
                 raise OutputError(f"{self.file}: cannot be used ({text})") from error
             raise self._unusable(f"not a readable store, truncated or damaged ({text})") from error
+
+
+def _metrics(text: str) -> dict[str, Any]:
+    """Metrics of a row; rows by the ten thousand share their names."""
+    return {sys.intern(name): value for name, value in json.loads(text).items()}
 
 
 def _under(key: str, replaced: tuple[str, ...]) -> bool:

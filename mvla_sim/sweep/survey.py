@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from mvla_sim.sweep.case import Row
 from mvla_sim.sweep.plan import Plan
-from mvla_sim.sweep.run import missing_cases
 from mvla_sim.sweep.schedule import PREPARE_S, TRACE_VIEW_S, case_seconds, groups_of
+from mvla_sim.sweep.session import missing_cases
 from mvla_sim.sweep.store import Store, identity
 
-__all__ = ["ChannelState", "Survey", "survey"]
+__all__ = ["ChannelState", "Survey", "survey", "survey_rows"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,11 @@ def survey(plan: Plan, folder: Path, workers: int) -> Survey:
 
     Raises DataError: the folder's store does not fit the plan, or is damaged.
     """
-    rows = Store.peek(folder, identity(plan))
+    return survey_rows(plan, Store.peek(folder, identity(plan)), workers)
+
+
+def survey_rows(plan: Plan, rows: Mapping[str, Row], workers: int) -> Survey:
+    """Look at a plan and the rows that are stored of it."""
     missing = missing_cases(plan, rows)
     views = {key: len(source.views) for key, source in plan.sources.items()}
     stored = {case.key: case for case in plan.cases if case.key in rows}
@@ -51,7 +57,8 @@ def survey(plan: Plan, folder: Path, workers: int) -> Survey:
     needed = {group.source.key: group.source for group in groups}
     channels = [ChannelState(source.name, len(source.views), source.file.exists()) for source in needed.values()]
     seconds = sum(TRACE_VIEW_S * channel.views for channel in channels if not channel.cached)
-    seconds += PREPARE_S * len(groups) / min(workers, max(1, len(groups)))
+    prepared = sum(PREPARE_S * group.share_of_views for group in groups)
+    seconds += prepared / min(workers, max(1, len(groups)))
     work = ratio * sum(case_seconds(case, views[case.channel]) for case in missing)
     seconds += work / min(workers, max(1, sum(len(group.batches) for group in groups)))
     return Survey(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +12,7 @@ import pandas as pd
 
 from mvla_sim.errors import DataError
 from mvla_sim.files import as_path, atomic_output, existing_file
-from mvla_sim.sweep.case import MAP, Case, Row, setting_columns
+from mvla_sim.sweep.case import MAP, Case, Once, Row, setting_columns
 
 __all__ = [
     "AVERAGED", "FILE", "MAPS", "PARQUET", "RECORD", "averaged", "build_table", "load_maps", "load_table",
@@ -29,12 +29,19 @@ RECORD: Final = "experiment.json"
 TEXT: Final = ("key", "status", "error", "scene", "reason", "protocol")
 
 
-def build_table(cases: Sequence[Case], rows: Mapping[str, Row]) -> pd.DataFrame:
+def build_table(
+    cases: Sequence[Case],
+    rows: Mapping[str, Row],
+    columns: Callable[[Case, Once], Mapping[str, Any]] = setting_columns,
+    once: Once | None = None,
+) -> pd.DataFrame:
     """Join a plan and what is stored of it, in the order of the plan.
 
     The first columns are ``case``, ``key``, ``status`` (done, failed or missing), ``error`` and ``seconds``; then the
-    scene and the axes, every setting by its dotted key, and the metrics, NaN where a case is not done.
+    scene and the axes, every setting by its dotted key, and the metrics, NaN where a case is not done. ``columns``
+    tells the settings of a case.
     """
+    once = once or Once()
     records: list[dict[str, Any]] = []
     for case in cases:
         row = rows.get(case.key)
@@ -45,7 +52,7 @@ def build_table(cases: Sequence[Case], rows: Mapping[str, Row]) -> pd.DataFrame:
             "error": row.error if row else "",
             "seconds": row.seconds if row else float("nan"),
         }
-        record = head | setting_columns(case) | dict(row.metrics if row else {})
+        record = head | dict(columns(case, once)) | dict(row.metrics if row else {})
         records.append({name: float("nan") if value is None else value for name, value in record.items()})
     table = pd.DataFrame(records)
     metrics = list(dict.fromkeys(name for row in rows.values() for name in row.metrics if name in table.columns))

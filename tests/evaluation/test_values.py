@@ -16,7 +16,7 @@ from mvla_sim.imaging.image import Image
 from mvla_sim.measured.process import Processed
 from mvla_sim.paper.claims import ResultTables
 from mvla_sim.paper.page import Section
-from mvla_sim.sweep.run import RunResult
+from mvla_sim.sweep.session import RunResult
 
 GRID = VoxelGrid((0.0, 0.0, 0.0), (12, 12, 1), 0.25)
 IMAGE = Image(np.random.default_rng(1).random(GRID.shape).astype(np.float32), None, GRID, "bp", 6,

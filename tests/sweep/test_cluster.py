@@ -27,7 +27,7 @@ from mvla_sim.cluster.worker import fair_share
 from mvla_sim.engine.cache import VARIABLE, shared_cache
 from mvla_sim.engine.machine import core_count
 from mvla_sim.errors import ConfigError, DataError, OutputError, RuntimeUnfitError
-from mvla_sim.sweep import run as run_module
+from mvla_sim.sweep import session as run_module
 from mvla_sim.sweep.case import Row
 from mvla_sim.sweep.plan import expand
 from mvla_sim.sweep.run import run_plan

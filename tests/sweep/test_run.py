@@ -21,14 +21,15 @@ from mvla_sim.errors import OutputError
 from mvla_sim.evaluation.candidates import unpack_table
 from mvla_sim.evaluation.evaluate import evaluate
 from mvla_sim.imaging.pipeline import Pipeline, reconstruct
-from mvla_sim.sweep import run as module
+from mvla_sim.sweep import session as module
 from mvla_sim.sweep.batch import run_batch
 from mvla_sim.sweep.case import Row
 from mvla_sim.sweep.experiment import load_experiment
 from mvla_sim.sweep.jobs import prepare_here
 from mvla_sim.sweep.plan import expand
-from mvla_sim.sweep.run import RunInterruptedError, images_of, run_experiment, run_plan
+from mvla_sim.sweep.run import images_of, run_experiment, run_plan
 from mvla_sim.sweep.schedule import groups_of
+from mvla_sim.sweep.session import RunInterruptedError
 from mvla_sim.sweep.store import FILE, Store, identity
 from mvla_sim.sweep.survey import survey
 from mvla_sim.sweep.table import load_maps, load_table

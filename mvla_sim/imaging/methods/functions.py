@@ -15,9 +15,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib.util
 import inspect
-import sys
 import traceback
 import types
 from collections.abc import Callable
@@ -31,6 +29,7 @@ from pydantic import PydanticUserError, create_model
 from mvla_sim.errors import ConfigError, DataError, MvlaError, reason
 from mvla_sim.imaging.method import METHODS, Method
 from mvla_sim.imaging.observation import Estimate, Observation
+from mvla_sim.kinds import module_of_file
 
 __all__ = ["FunctionMethod", "named", "names_a_file", "of_file", "of_value"]
 
@@ -115,11 +114,8 @@ def of_file(name: str) -> type[Method] | None:
     if parts is None:
         return None
     file, function = parts
-    try:
-        stamp = file.stat()
-    except OSError as error:
-        raise ConfigError(f"method = '{name}': {file} cannot be read ({error.strerror})") from error
-    METHODS.of_files[name] = _imported(name, file.resolve(), function, (stamp.st_mtime_ns, stamp.st_size))
+    module, digest = module_of_file(file, f"method = '{name}'")
+    METHODS.of_files[name] = _of_module(name, module, file.stem, function, digest)
     return METHODS.of_files[name]
 
 
@@ -188,23 +184,9 @@ def _again(name: str, fields: dict[str, Any]) -> Method:
 
 
 @lru_cache(maxsize=32)
-def _imported(name: str, file: Path, function: str, stamp: tuple[int, int]) -> type[Method]:
-    """Import a file under a name of its own, once for each of its versions."""
-    del stamp
-    source = file.read_bytes()
-    digest = hashlib.sha256(source).hexdigest()
-    module_name = f"mvla_method_{digest[:16]}"
-    spec = importlib.util.spec_from_file_location(module_name, file)
-    assert spec is not None  # the name ends with .py
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module  # dataclasses and pickle look there
-    try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
-        del sys.modules[module_name]
-        raise ConfigError(f"method = '{name}': {file.name} cannot be imported ({reason(error)})") from error
-    return _method(name, file.stem if function == "image" else function, _callable(name, module, function), digest)
+def _of_module(name: str, module: types.ModuleType, stem: str, function: str, digest: str) -> type[Method]:
+    """The method of a file's function, one class for each version of the file."""
+    return _method(name, stem if function == "image" else function, _callable(name, module, function), digest)
 
 
 def _callable(name: str, module: types.ModuleType, function: str) -> Function:
