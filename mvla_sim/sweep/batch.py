@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -26,6 +26,10 @@ from mvla_sim.imaging.pipeline import Pipeline, ProfiledChannel, profile_channel
 from mvla_sim.sweep.case import MAP, Case, Row
 
 __all__ = ["Outcome", "ProfileArguments", "load_profiles", "results", "run_batch"]
+
+MOST_TRUTHS: Final = 8
+"""Kept at a time, if they are of no more than so many voxels in all."""
+TRUTH_VOXELS: Final = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,13 +93,22 @@ def results(stages: Pipeline, cases: Sequence[Case]) -> Iterator[tuple[Row, Outc
 def _run(stages: Pipeline, case: Case) -> Outcome:
     """Image and score a case; raises what is wrong with it."""
     image = stages.image(case.imaging)
-    settings = case.evaluation
-    geometry = stages.keep(
-        "truth",
-        (case.imaging.grid, settings.truth, settings.thickness_m),
-        lambda: TruthGeometry.build(ground_truth(image, settings), image.grid),
+    geometry = _truth(stages, case, image)
+    return Outcome(
+        case, image, evaluate(image, case.evaluation, geometry, with_optimum=case.evaluation.threshold is None)
     )
-    return Outcome(case, image, evaluate(image, settings, geometry, with_optimum=settings.threshold is None))
+
+
+def _truth(stages: Pipeline, case: Case, image: Image) -> TruthGeometry:
+    """The truth of a case; the last few are kept, for samples of a design alternate between them."""
+    settings = case.evaluation
+    place = (case.imaging.grid, settings.truth, settings.thickness_m)
+    kept: dict[Any, TruthGeometry] = stages.keep("truths", None, dict)
+    if place not in kept:
+        while len(kept) >= max(1, min(MOST_TRUTHS, TRUTH_VOXELS // image.grid.size)):
+            del kept[next(iter(kept))]
+        kept[place] = TruthGeometry.build(ground_truth(image, settings), image.grid)
+    return kept[place]
 
 
 @functools.lru_cache(maxsize=1)

@@ -122,7 +122,8 @@ def _ordered(cases: Sequence[Case], once: Once) -> list[Case]:
     def place(case: Case) -> tuple[int, ...]:
         settings = case.imaging
         method = (settings.method, once(as_text, settings.chosen), once(as_text, settings.mvla))
-        parts = (once(as_text, settings.noise), once(as_text, settings.peaks), method, once(as_text, case.evaluation))
+        stages = (once(as_text, stage) for stage in (settings.noise, settings.peaks, settings.grid))
+        parts = (*stages, method, once(as_text, case.evaluation))
         return tuple(places.setdefault((index, part), len(places)) for index, part in enumerate(parts))
 
     return sorted(cases, key=place)

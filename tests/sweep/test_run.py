@@ -21,6 +21,7 @@ from mvla_sim.errors import OutputError
 from mvla_sim.evaluation.candidates import unpack_table
 from mvla_sim.evaluation.evaluate import evaluate
 from mvla_sim.imaging.pipeline import Pipeline, reconstruct
+from mvla_sim.sweep import batch
 from mvla_sim.sweep import session as module
 from mvla_sim.sweep.batch import run_batch
 from mvla_sim.sweep.case import Row
@@ -151,6 +152,25 @@ def test_a_scene_that_cannot_be_traced_fails_its_own_cases_alone(tmp_path):
     result = run_plan(plan, tmp_path / "out", workers=0)
     assert list(result.table["status"]) == ["failed", "failed", "done", "done"]
     assert "max_paths" in result.table["error"][0]
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [
+        '"evaluation.truth" = ["contour", "filled"]\nkappa = [0.3, 0.5, 0.7]\n',
+        "spacing_m = [0.1, 0.2]\nkappa = [0.3, 0.5, 0.7]\n",
+    ],
+)
+def test_a_truth_is_built_once_however_cases_alternate(tmp_path, monkeypatch, axes):
+    built, build = [], batch.TruthGeometry.build
+    monkeypatch.setattr(batch.TruthGeometry, "build", lambda *given: built.append(given) or build(*given))
+    table = run_experiment(experiment(tmp_path, axes), tmp_path / "out", workers=0)
+    assert (table["status"] == "done").all()
+    assert len(built) == 2
+    monkeypatch.setattr("mvla_sim.sweep.batch.TRUTH_VOXELS", 0)  # as of huge grids: one at a time
+    again = run_experiment(experiment(tmp_path, axes), tmp_path / "again", workers=0)
+    assert len(built) > 3
+    pd.testing.assert_frame_equal(numbers(again), numbers(table), check_exact=True)
 
 
 def test_given_thresholds_are_used_and_nothing_is_searched(tmp_path, monkeypatch):
