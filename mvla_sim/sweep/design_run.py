@@ -14,6 +14,7 @@ import pandas as pd
 from mvla_sim.cluster.interface import Cluster
 from mvla_sim.errors import DataError
 from mvla_sim.files import as_path, atomic_output, existing_file
+from mvla_sim.progress import progress
 from mvla_sim.sweep.case import Case, Once, Row, setting_columns
 from mvla_sim.sweep.design import SAMPLE
 from mvla_sim.sweep.design_plan import DesignPlan
@@ -92,8 +93,8 @@ def run_design(
     Raises
     ------
     ConfigError, DataError, OutputError, RunInterruptedError
-        As for any experiment. DataError also where the score's function fails, or no sample of
-        a round has a score that others could be behind.
+        As for any experiment. DataError also where the score's function fails for every sample, or no sample of a round
+        has a score, so that none can be kept.
     """
     rounds: list[_Round] = []
     notes: list[str] = []
@@ -110,7 +111,8 @@ def run_design(
                 title = f"round {number + 1} of {plan.rounds}"
                 tell(f"{title}: {len(samples):,} samples, {len(current.cases):,} cases")
                 session.run(current, f"{plan.experiment.name}, {title}")
-                rounds[-1].figures = _figures(plan, rounds[-1], store.rows())
+                rounds[-1].figures, wrong = _figures(plan, rounds[-1], store.rows())
+                notes += wrong
                 samples = _kept(plan, rounds[-1])
                 tell(_summary(plan, rounds[-1], samples))
                 notes += _failures(rounds[-1], store.rows())
@@ -136,7 +138,7 @@ def survey_design(plan: DesignPlan, folder: Path, workers: int) -> list[RoundSta
         known = known and states[-1].survey.done == states[-1].survey.cases
         if known and number < plan.rounds - 1:
             one = _Round(number, samples, current, {})
-            one.figures = _figures(plan, one, rows)
+            one.figures, _ = _figures(plan, one, rows)
             samples = _kept(plan, one)
     return states
 
@@ -165,17 +167,32 @@ def best_samples(design: pd.DataFrame, count: int) -> pd.DataFrame:
     return design.sort_values(["round", SCORE], ascending=[False, True], na_position="last", kind="stable").head(count)
 
 
-def _figures(plan: DesignPlan, one: _Round, rows: Mapping[str, Row]) -> dict[str, dict[str, float]]:
-    """What the score makes of each sample."""
+def _figures(plan: DesignPlan, one: _Round, rows: Mapping[str, Row]) -> tuple[dict[str, dict[str, float]], list[str]]:
+    """What the score makes of each sample, and what went wrong with some; raises DataError where it did with all.
+
+    A sample without a finished case has no score, and neither has one whose cases the score's function cannot take.
+    """
     by_label: dict[str, list[Case]] = {sample.label: [] for sample in one.samples}
     for case in one.plan.cases:
         by_label[str(case.values[SAMPLE])].append(case)
     columns = _own_columns if plan.score.of_metric else setting_columns
-    once = Once()
-    return {
-        label: plan.score.figures(build_table(cases, _of(cases, rows), columns, once), label)
-        for label, cases in by_label.items()
-    }
+    once, none = Once(), {SCORE: math.nan}
+    figures: dict[str, dict[str, float]] = {}
+    errors: list[DataError] = []
+    with progress(f"{plan.experiment.name}, scores", len(by_label), "samples") as advance:
+        for label, cases in by_label.items():
+            finished = any(_status(rows, case) == "done" for case in cases)
+            try:
+                table = build_table(cases, _of(cases, rows), columns, once)
+                figures[label] = plan.score.figures(table, label) if finished else none
+            except DataError as error:
+                figures[label] = none
+                errors.append(error)
+            advance(1)
+    if errors and all(figures[label] is none for label in figures):
+        raise errors[0]
+    where = f"round {one.number + 1}: no score for {len(errors)} samples"
+    return figures, [f"{where}; the first: {errors[0]}"] if errors else []
 
 
 def _kept(plan: DesignPlan, one: _Round) -> list[DesignSample]:

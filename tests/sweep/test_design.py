@@ -55,6 +55,12 @@ def test_distributions_have_their_values_at_their_shares():
         assert value_at(AnyChoice(choices=("a", "b")), share) in ("a", "b")
 
 
+def test_a_choice_may_be_none(tmp_path):
+    text = '[design]\nsamples = 8\n[design.settings]\nsnr_db = { choices = ["none", 5.0] }\n'
+    plan = plan_design(design(tmp_path, text))
+    assert Counter(case.imaging.noise.snr_db for case in plan.cases) == {None: 8, 5.0: 8}
+
+
 @pytest.mark.parametrize("draw", ["sobol", "random"])
 def test_the_first_of_more_samples_are_those_of_fewer(draw):
     few, many, other = (

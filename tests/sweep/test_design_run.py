@@ -189,6 +189,13 @@ def wordy(table):
     return {"score": "good"}
 
 
+def picky(table):
+    """It cannot take some samples."""
+    if table["imaging.mvla.kappa"].iloc[0] > 1.0:
+        raise ValueError("too wide for me")
+    return {"score": table["cd_db"].mean()}
+
+
 def silent(table):
     return 3.0
 '''
@@ -222,6 +229,26 @@ def test_a_score_that_fails_is_one_line(tmp_path, function, error, said):
     with pytest.raises(error, match=said) as raised:
         run_design(plan_design(scored(tmp_path, function)), tmp_path / "out", workers=0)
     assert "\n" not in str(raised.value)
+
+
+def test_a_score_that_fails_for_some_samples_ends_nothing(tmp_path):
+    """Hours of computing are not lost for one odd sample; a note says which."""
+    result = run_design(plan_design(scored(tmp_path, ":picky")), tmp_path / "out", workers=0)
+    wide = result.design["kappa"] > 1
+    assert 0 < wide.sum() < 4
+    assert list(result.design["score"].isna()) == list(wide)
+    (note,) = result.notes
+    assert note.startswith(f"round 1: no score for {wide.sum()} samples; the first: design.score = ")
+    assert "ValueError: too wide for me" in note
+
+
+def test_a_sample_without_a_finished_case_is_not_shown_to_the_score(tmp_path):
+    """Its table has no metrics, which a function may well take for granted."""
+    (tmp_path / "mine.py").write_text(SCORE)
+    text = DEAF.replace("samples = 8", f'samples = 8\nscore = "{tmp_path / "mine.py"}:steady"')
+    result = run_design(plan_design(design(tmp_path, text)), tmp_path / "out", workers=0)
+    assert list(result.design["score"].isna()) == list(result.design["threshold_sigma"] == 1e6)
+    assert not any("no score" in note for note in result.notes)
 
 
 def test_installed_packages_offer_scores(monkeypatch):
