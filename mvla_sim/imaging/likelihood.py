@@ -143,9 +143,13 @@ def _axis(span_m: tuple[float, float], step: float, n_view: int) -> tuple[float,
 def nearest_peak(peaks: Peaks, start: float, step: float, count: int) -> NDArray[np.float32]:
     """Range of the peak nearest to the middle of each node and the next, ``[n_view, count]`` m; far where none is."""
     nearest = np.full((peaks.n_view, count), _FAR_M, np.float32)
-    for view in np.flatnonzero(peaks.row_size):
-        ranges = peaks.range_m[peaks.rows(int(view))]
-        between = np.ceil(((ranges[:-1] + ranges[1:]) / 2 - start) / step - 0.5)
-        edges = np.concatenate([[0], np.clip(between, 0, count), [count]]).astype(np.intp)
-        nearest[view] = np.repeat(ranges, np.diff(edges))
+    ranges = peaks.range_m
+    stop = np.full(ranges.size, count, np.intp)  # one behind the last node that each peak is nearest to
+    between = np.ceil(((ranges[:-1] + ranges[1:]) / 2 - start) / step - 0.5)
+    last = np.cumsum(peaks.row_size)[peaks.row_size > 0] - 1  # of each view's peaks
+    stop[:-1] = np.clip(between, 0, count)
+    stop[last] = count
+    length = np.diff(stop, prepend=0)
+    length[last[:-1] + 1] += count
+    nearest[peaks.row_size > 0] = np.repeat(ranges, length).reshape(-1, count)
     return nearest

@@ -35,10 +35,14 @@ def left_out(frames: Sequence[pd.DataFrame]) -> str:
     """How many cases have no finite CD, and why: missing, failed, an empty reconstruction, identical sets."""
     reasons: dict[str, int] = {}
     for frame in frames:
-        for row in frame[~np.isfinite(frame["cd_db"].astype(float))].to_dict("records"):
-            status = str(row.get("status", "done"))
-            name = status if status != "done" else "identical sets" if row["cd_db"] == -np.inf else "empty"
-            reasons[name] = reasons.get(name, 0) + 1
+        gone = ~np.isfinite(frame["cd_db"].to_numpy(float))
+        if not gone.any():
+            continue
+        lost = frame.loc[gone, [c for c in ("status", "cd_db") if c in frame]]
+        identical = np.where(lost["cd_db"].astype(float) == -np.inf, "identical sets", "empty")
+        status = lost["status"].astype(str) if "status" in lost else pd.Series("done", lost.index)
+        for name, count in pd.Series(np.where(status != "done", status, identical)).value_counts().items():
+            reasons[str(name)] = reasons.get(str(name), 0) + int(count)
     if not reasons:
         return ""
     counts = ", ".join(f"{count} {name}" for name, count in sorted(reasons.items()))
