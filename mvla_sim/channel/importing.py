@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -23,6 +25,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from mvla_sim.channel.header import Channel
+from mvla_sim.channel.readers.angles import closing_view
 from mvla_sim.channel.readers.arrays import ArrayReader
 from mvla_sim.channel.readers.pairs import PairReader
 from mvla_sim.channel.readers.source import READERS, Foreign, GivenRadio, Reader
@@ -211,7 +214,7 @@ def import_channel(settings: ImportSettings) -> Channel:
     radio = {} if found.kind is FrequencyResponse else _radio(settings, found.carrier_hz)
     config = settings.model_dump(mode="json")
     _rename_files(config, lambda name: Path(name).name)  # names alone, never where files lay
-    return found.kind(
+    channel = found.kind(
         **found.data,
         **radio,
         views=_views(settings, found),
@@ -222,6 +225,22 @@ def import_channel(settings: ImportSettings) -> Channel:
             **provenance(), "importer": kind, **{f"source.{key}": text for key, text in found.facts.items()}
         },
     )  # fmt: skip
+    at_angles = settings.geometry.positions is None and found.positions_m is None
+    return _without_closing_view(channel, settings, found) if at_angles else channel
+
+
+def _without_closing_view(channel: Channel, settings: ImportSettings, found: Foreign) -> Channel:
+    """Leave out the view that closes a whole turn, and say so."""
+    closing = None if found.angles_deg is None else closing_view(found.angles_deg)
+    if found.angles_deg is None or closing is None:
+        return channel
+    first, last = found.angles_deg.min(), found.angles_deg.max()
+    logging.getLogger("mvla_sim").warning(
+        "mvla: note: %s: the views at %g° and %g° are one direction; view %d (from 0) is left out",
+        settings.source, first, last, closing,
+    )  # fmt: skip
+    kept = channel.select(np.delete(np.arange(found.n_view), closing))
+    return replace(kept, provenance={**kept.provenance, "source.left_out": f"view {closing}, which closes the turn"})
 
 
 def source_kind(source: str | os.PathLike[str]) -> str:

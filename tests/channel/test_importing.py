@@ -11,6 +11,7 @@ from kinds_of_channel import random_response
 
 from mvla_sim.channel.importing import ImportSettings, import_channel, import_settings, resolve_files, source_kind
 from mvla_sim.channel.readers.source import READERS, Foreign, Reader
+from mvla_sim.channel.readers.touchstone_files import write_touchstone
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.errors import ConfigError, DataError
 
@@ -109,3 +110,35 @@ def test_files_that_settings_name_lie_beside_them_and_leave_no_folder_behind(tmp
     channel = import_channel(settings)
     assert str(tmp_path) not in json.dumps(dict(channel.config))
     assert channel.config["geometry"]["positions"] == "p.csv"
+
+
+@pytest.mark.parametrize(("first", "direction"), [(0, 1), (-180, 1), (360, -1)])
+def test_a_view_that_closes_the_turn_is_left_out_with_a_note(tmp_path, caplog, first, direction):
+    """The same from arrays and from a folder."""
+    response = random_response(count=5).response
+    angles = first + direction * 90.0 * np.arange(5)
+    np.savez(tmp_path / "a.npz", response=response, frequency=34.5e9 + 7.5e6 * np.arange(33), angle=angles)
+    (tmp_path / "sweeps").mkdir()
+    for angle, sweep in zip(angles, response, strict=True):
+        file = tmp_path / "sweeps" / f"car_{angle:g}deg.s1p"
+        write_touchstone(file, 34.5e9 + 7.5e6 * np.arange(33), sweep[:, None, None])
+    of_arrays = ["arrays.angles=angle", "geometry.radius_m=5"]
+    of_files = ["sweeps.angle_pattern=car_{angle}deg", "sweeps.parameter=S11", "geometry.radius_m=5"]
+    made = import_channel(import_settings(tmp_path / "a.npz", overrides=of_arrays))
+    np.testing.assert_array_equal(made.response, response[:4])
+    folder = import_channel(import_settings(tmp_path / "sweeps", overrides=of_files))
+    assert {*folder.views.angles_deg.round(6)} == {*made.views.angles_deg.round(6)} == {0, 90, 180, 270}
+    assert len(folder.response) == 4
+    notes = [record.message for record in caplog.records]
+    assert len(notes) == 2
+    for note in notes:
+        assert f"the views at {angles.min():g}° and {angles.max():g}° are one direction" in note
+    assert made.provenance["source.left_out"] == "view 4, which closes the turn"
+
+
+def test_a_turn_that_does_not_close_is_kept(tmp_path):
+    angles = np.array([0.0, 120.0, 240.0, 359.99])
+    np.savez(tmp_path / "a.npz", response=random_response(count=4).response, frequency=34.5e9 + 7.5e6 * np.arange(33),
+             angle=angles)  # fmt: skip
+    overrides = ["arrays.angles=angle", "geometry.radius_m=5"]
+    assert import_channel(import_settings(tmp_path / "a.npz", overrides=overrides)).n_view == 4

@@ -350,7 +350,7 @@ def folder_refused(settings, folder, match):
         (["car_10,5.s2p"], r"has 2 angles \(10, 5\)"),
         (["1.2.3.s2p"], "has no angle"),
         (["9" * 99 + ".s2p", "10.s2p", "010.0.s2p"], "10°, 10.s2p has 10°: the same view|010.0.s2p: has the angle 10°"),
-        (["0.s2p", "90.s2p", "360.s2p"], "has the angle 0°, 360.s2p has 360°: the same view twice"),
+        (["0.s2p", "90.s2p", "720.s2p"], "has the angle 0°, 720.s2p has 720°: the same view twice"),
         (["-10.s2p", "350.s2p"], "the same view twice"),
     ],
 )

@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.scene.columns import read_columns
 
-__all__ = ["angles_of_files", "missing_angles"]
+__all__ = ["angles_of_files", "closing_view", "missing_angles"]
 
 ANGLE_TOLERANCE_DEG: Final = 1e-6
 """Angles this near to each other are one angle."""
+
+CLOSING_TOLERANCE_DEG: Final = 1e-3
+"""How far the ends of a whole turn may be from 360° apart; angles in radians of single precision miss it by 1e-5."""
 
 _NUMBER = r"\d+(?:\.\d+)?(?![\d.]*\d)"
 
@@ -29,7 +32,8 @@ def angles_of_files(files: Sequence[Path], pattern: str | None, angle_file: str 
     ConfigError
         An angle pattern that says no place for the angle.
     DataError
-        A file without an angle, an angle without a file, or an angle twice, also a full turn apart.
+        A file without an angle, an angle without a file, or an angle twice, also a full turn apart; but the view that
+        closes a whole turn may repeat the first.
 
     Notes
     -----
@@ -47,6 +51,19 @@ def angles_of_files(files: Sequence[Path], pattern: str | None, angle_file: str 
     angles = np.array(listed, np.float64)
     _refuse_equal(angles, files)
     return angles
+
+
+def closing_view(angles_deg: NDArray[np.float64]) -> int | None:
+    """View that repeats another at the end of a whole turn, as of a turntable that goes from 0° to 360° inclusive.
+
+    Of the first and the last angle, ``[n_view]`` degrees in any order, the one that comes later; None where these are
+    not one direction. Every import leaves this view out.
+    """
+    angles = np.asarray(angles_deg, np.float64)
+    if angles.size < 3:
+        return None
+    ends = int(angles.argmin()), int(angles.argmax())
+    return max(ends) if abs(angles[ends[1]] - angles[ends[0]] - 360) <= CLOSING_TOLERANCE_DEG else None
 
 
 def missing_angles(angles_deg: NDArray[np.float64]) -> list[float]:
@@ -111,6 +128,9 @@ def _listed_angles(angle_file: str, files: Sequence[Path]) -> list[float]:
 
 
 def _refuse_equal(angles_deg: NDArray[np.float64], files: Sequence[Path]) -> None:
+    closing = closing_view(angles_deg)
+    if closing is not None:
+        angles_deg, files = np.delete(angles_deg, closing), [*files[:closing], *files[closing + 1 :]]
     turned = np.mod(angles_deg, 360)
     order = np.argsort(turned, kind="stable")
     gaps = np.diff(turned[order], append=turned[order[0]] + 360)
