@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -254,7 +255,7 @@ def source_kind(source: str | os.PathLike[str]) -> str:
     place = Path(source)
     if not place.exists():
         raise DataError(f"{place}: no such file or folder")
-    if place.suffix.lower() in (".s1p", ".s2p") and place.is_file():
+    if re.fullmatch(r"\.s\d+p|\.ts", place.suffix.lower()) and place.is_file():
         raise DataError(f"{place}: is one sweep; give the folder that holds a file a view")
     own = {model.name for model in READERS.own()}
     for name in sorted(READERS.names(), key=lambda name: (name in own, name)):  # touchstone is last: any folder

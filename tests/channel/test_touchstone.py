@@ -68,7 +68,9 @@ def test_files_of_another_writer_are_read_equal(tmp_path, unit, form, ports, imp
             np.testing.assert_allclose(sweep.response, expected.s[:, row, column], rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("line", ["# GHz S MA R 50", "#", "# R 50", "# MA S GHZ r 50", "  # s ghz R 75 ma", "#MA"])
+@pytest.mark.parametrize(
+    "line", ["# GHz S MA R 50", "#", "# R 50", "# MA S GHZ r 50", "  # s ghz R 75 ma", "#MA", "#GHz\tS\tMA\tR50"]
+)
 def test_option_line_may_be_short_or_in_any_order(tmp_path, line):
     file = tmp_path / "a.s1p"
     file.write_text(f"! first\n{line} ! after\n34.5 2 90\n35 1 180 ! one\n# Hz S RI R 50\n\n35.5 1 0\n")
@@ -94,6 +96,27 @@ def test_noise_data_of_a_two_port_are_no_frequencies(tmp_path):
     assert read_touchstone(file, "S12").response.shape == (3,)
 
 
+@pytest.mark.parametrize("mark", ["\x85", "\f", "\v", "\x1c", "\u2028", "\u2029"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_only_line_ends_end_a_line(tmp_path, mark, end):
+    """What str.splitlines takes for one may stand in a comment, with numbers after it that are no data."""
+    lines = ["# Hz S RI R 50", "1e9 1 0", f"! then{mark}1.5e9 7 7", f"2e9 2 0 ! peak{mark}2.5e9 7 7", "3e9 3 0", ""]
+    for encoding in ("utf-8", "utf-16", "cp1252") if mark != "\x85" else ("utf-8", "latin-1"):
+        (tmp_path / "a.s1p").write_bytes(end.join(lines).encode(encoding, "ignore"))
+        np.testing.assert_array_equal(read_touchstone(tmp_path / "a.s1p", "S11").response, [1, 2, 3])
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-8-sig"])
+def test_encodings_of_windows_editors(tmp_path, encoding):
+    file = tmp_path / "a.s1p"
+    text = "! Tür 3 °\r\n" * (encoding == "utf-16") + OPTION + rows(FREQUENCY)
+    file.write_bytes(text.encode(encoding))
+    assert read_touchstone(file, "S11").start_hz == START
+    file.write_bytes("\ufeff".encode("utf-16-le") + b"\x00\xd8\x00")
+    with pytest.raises(DataError, match="is marked as UTF-16 and is not"):
+        read_touchstone(file, "S11")
+
+
 @pytest.mark.parametrize("prefix", [b"", b"\xef\xbb\xbf", "! Tür bei 3 °\n".encode("latin-1"), b"! any\r\n\r\n"])
 def test_encodings_and_line_ends(tmp_path, prefix):
     file = tmp_path / "a.S1P"
@@ -110,6 +133,36 @@ def test_rounded_frequencies_are_a_uniform_axis(tmp_path):
     sweep = read_touchstone(file, "S11")
     read = sweep.start_hz + sweep.step_hz * np.arange(1601)
     assert abs(read - exact).max() < 1e3
+    assert not sweep.rounded
+
+
+@pytest.mark.parametrize(("decimals", "step"), [(3, 1.875e6), (3, 1.3e6), (2, 15e6), (4, 187.5e3)])
+def test_frequencies_that_the_printing_program_rounded_are_the_even_ones(tmp_path, decimals, step):
+    """Up to 0.8 of a step; start and end are back to a small part of the last digit, and a folder says so once."""
+    file = tmp_path / "0.s1p"
+    exact = START + step * np.arange(401)
+    file.write_text("# GHz S RI R 50\n" + "".join(f"{f / 1e9:.{decimals}f} 1 0\n" for f in exact))
+    sweep = read_touchstone(file, "S11")
+    read = sweep.start_hz + sweep.step_hz * np.arange(401)
+    assert abs(read - exact).max() < 0.2 * 10.0 ** (9 - decimals)
+    assert sweep.rounded
+
+
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_a_missing_frequency_is_not_taken_for_rounding(tmp_path, step):
+    """Steps of 1, 2 and 3 MHz, printed in whole MHz, one frequency left out."""
+    frequencies = np.delete(1000 + step * np.arange(101), 50)
+    text = "# MHz S RI R 50\n" + "".join(f"{f} 1 0\n" for f in frequencies)
+    refused(tmp_path / "a.s1p", text, "is not in even steps")
+
+
+def test_a_rounded_axis_is_noted_once(tmp_path, caplog):
+    text = "# GHz S RI R 50\n" + "".join(f"{f / 1e9:.3f} 1 0\n" for f in START + 1.875e6 * np.arange(401))
+    for angle in range(4):
+        (tmp_path / f"{angle}.s1p").write_text(text)
+    read_folder(TouchstoneFolder(parameter="S11"), tmp_path)
+    [note] = [record.getMessage() for record in caplog.records]
+    assert "frequencies are rounded by more than 1% of a step; read as even steps of 18" in note
 
 
 @pytest.mark.parametrize(
@@ -138,6 +191,9 @@ def test_rounded_frequencies_are_a_uniform_axis(tmp_path):
         ("# Hz Z RI R 50\n" + rows(FREQUENCY), "line 1: holds Z-parameters; allowed: S-parameters"),
         ("# Hz Y RI R 50\n" + rows(FREQUENCY), "holds Y-parameters"),
         ("# THz S RI R 50\n" + rows(FREQUENCY), "'thz' is unknown in an option line"),
+        ("# S S RI R 50\n" + rows(np.arange(9) * 1e-5), "line 1: '# S S RI R 50' is of a sweep over time"),
+        ("# ms S RI R 50\n" + rows(range(9)), "is of a sweep over time"),
+        ("# dBm S RI R 50\n" + rows(range(9)), "is of a sweep over power"),
         ("# Hz SY RI R 50\n" + rows(FREQUENCY), "'sy' is unknown"),
         ("# Hz S RI R fifty\n" + rows(FREQUENCY), "'fifty' is unknown"),
         (OPTION + rows(FREQUENCY, 0), "line 2: has one value"),
@@ -170,8 +226,19 @@ def test_what_is_no_sweep_of_two_ports_is_refused(tmp_path, text, match):
 def test_parameter_that_is_not_there(tmp_path):
     refused(tmp_path / "a.s1p", OPTION + rows(FREQUENCY), "has no S21; a file of 1 port has S11 only", "S21")
     refused(tmp_path / "a.s2p", OPTION + rows(FREQUENCY, 8), "has no S31; a file of 2 ports has S11 to S22", "s31")
-    with pytest.raises(ConfigError, match="parameter = 'S2': allowed"):
-        read_touchstone(tmp_path / "a.s1p", "S2")
+    for parameter in ("S2", "S123", "S0_1", "S10", "S1,2,3", "T21", "S٢1"):
+        with pytest.raises(ConfigError, match=f"parameter = '{parameter}': allowed: S11, S21"):
+            read_touchstone(tmp_path / "a.s1p", parameter)
+
+
+@pytest.mark.parametrize("ports", [3, 4, 12])
+def test_any_parameter_of_any_number_of_ports(tmp_path, ports):
+    s = random_s(4, ports, 11)
+    skrf.Network(f=FREQUENCY[:11], f_unit="Hz", s=s).write_touchstone("7", dir=tmp_path, form="ri")
+    names = {"S31": (2, 0), "s13": (0, 2), f"S{ports},1": (ports - 1, 0), f"S3_{ports}": (2, ports - 1)}
+    for name, (row, column) in names.items():
+        read = read_folder(TouchstoneFolder(parameter=name), tmp_path)
+        np.testing.assert_allclose(read.response[0], s[:, row, column], rtol=1e-12)
 
 
 def test_names_and_places_that_are_no_file(tmp_path):

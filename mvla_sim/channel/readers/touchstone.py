@@ -15,7 +15,7 @@ from pydantic import Field
 
 from mvla_sim.channel.readers.angles import angles_of_files, missing_angles
 from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader
-from mvla_sim.channel.readers.touchstone_files import AXIS_TOLERANCE, Sweep, read_touchstone
+from mvla_sim.channel.readers.touchstone_files import AXIS_TOLERANCE, PARAMETER, Sweep, read_touchstone
 from mvla_sim.channel.references import BackgroundSettings, ReferenceSettings, calibrate, subtract_background
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.errors import ConfigError, DataError
@@ -36,8 +36,10 @@ class TouchstoneFolder(Reader):
         ("reference", "background"),
     )
 
-    files: str = Field("*.s[12]p", description="which files of the folder are views")
-    parameter: Annotated[str, Field(pattern=r"^[sS][12][12]$")] = Field("S21", description="S11, S21, S12 or S22")
+    files: str = Field("*.s[1-9]*p", description="which files of the folder are views")
+    parameter: Annotated[str, Field(pattern=f"^{PARAMETER}$")] = Field(
+        "S21", description="S11, S21, S31 …: port received at, port transmitted from; S12,3 from ten ports on"
+    )
     angle_pattern: str | None = Field(
         "{angle}", description="where a file's name says its angle, as in car_{angle}deg.s2p"
     )
@@ -62,9 +64,7 @@ class TouchstoneFolder(Reader):
         facts = {"files": f"{files[0].name} to {files[-1].name}"}
         if lacking := missing_angles(swept.angles_deg):
             shown = ", ".join(f"{angle:g}" for angle in lacking[:8])
-            logging.getLogger("mvla_sim").warning(
-                "mvla: note: %s: no file for %d of the evenly spaced angles: %s°", source, len(lacking), shown
-            )
+            _note(f"{source}: no file for {len(lacking)} of the evenly spaced angles: {shown}°")
         background = None
         if self.background is not None:
             background = self._like(swept, self.background.file)
@@ -141,7 +141,14 @@ def read_folder(settings: TouchstoneFolder, folder: str | os.PathLike[str]) -> F
         _refuse_other_axis(first, files[0], sweep, file)
         rows.append(sweep.response)
     assert first is not None
+    if first.rounded:
+        _note(f"{files[0]}: frequencies are rounded by more than {AXIS_TOLERANCE:.0%} of a step; read as even steps of "
+              f"{first.step_hz:.9g} Hz from {first.start_hz:.12g} Hz")  # fmt: skip
     return FolderSweeps(tuple(files), angles, first.start_hz, first.step_hz, np.stack(rows))
+
+
+def _note(text: str) -> None:
+    logging.getLogger("mvla_sim").warning("mvla: note: %s", text)
 
 
 def _view_files(settings: TouchstoneFolder, folder: Path) -> list[Path]:

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from skrf.io.touchstone import Touchstone
 
-from mvla_sim.channel.readers.array_values import check_axis
+from mvla_sim.channel.readers.array_values import check_axis, shown
+from mvla_sim.channel.readers.rounded_axis import unrounded_axis
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import atomic_output, existing_file
+from mvla_sim.text_files import lines_of, read_text
 
 __all__ = ["AXIS_TOLERANCE", "Sweep", "read_touchstone", "write_touchstone"]
 
@@ -26,18 +28,27 @@ such an error turns the phase by at most 0.01·360° = 3.6°, nearer echoes by l
 LARGEST_FILE: Final = 2**27
 """128 MiB: 100 001 frequencies of four ports take 80. More would take the parser gigabytes."""
 
+PARAMETER: Final = r"[sS](?:([1-9])([1-9])|([1-9]\d{0,3})[,_]([1-9]\d{0,3}))"
+"""Names of S-parameters: a digit a port, or numbers with a comma or underscore between them."""
+
 _UNITS = ("hz", "khz", "mhz", "ghz")
+_NO_FREQUENCIES: Final = {"time": ("sec", "ms", "us", "µs", "ns", "ps"), "power": ("dbm", "watt", "mw")}
+"""Units that analysers write for what is no frequency. Seconds are "S", beside the S of S-parameters."""
 _FORMATS = ("ri", "ma", "db")
 _UNPARSED = (ValueError, TypeError, IndexError, KeyError, AttributeError, ArithmeticError, MemoryError)
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """One S-parameter at uniform frequencies, ``[n_frequency]``, relative to the file's own reference impedance."""
+    """One S-parameter at uniform frequencies, ``[n_frequency]``, relative to the file's own reference impedance.
+
+    ``rounded`` says that the file's frequencies are those rounded to few digits.
+    """
 
     start_hz: float
     step_hz: float
     response: NDArray[np.complex128]
+    rounded: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +71,8 @@ def read_touchstone(file: str | os.PathLike[str], parameter: str = "S21") -> Swe
     file
         Its name ends in ``.s1p``, ``.s2p``, … or, for version 2, ``.ts``.
     parameter
-        ``"S11"``, ``"S21"``, …: the port received at, then the port transmitted from.
+        ``"S11"``, ``"S31"``, …: the port received at, then the port transmitted from. With ten ports and more,
+        ``"S12,3"``.
 
     Raises
     ------
@@ -69,9 +81,10 @@ def read_touchstone(file: str | os.PathLike[str], parameter: str = "S21") -> Swe
         finite, or with frequencies that do not rise uniformly.
     """
     path = existing_file(file, "Touchstone file")
-    if not re.fullmatch(r"[sS][1-9][1-9]", parameter):
-        raise ConfigError(f"parameter = '{parameter}': allowed: S11, S21, S12, S22")
-    row, column = int(parameter[1]), int(parameter[2])
+    named = re.fullmatch(PARAMETER, parameter, re.ASCII)
+    if named is None:
+        raise ConfigError(f"parameter = '{parameter}': allowed: S11, S21, … or, of ten ports and more, S12,3")
+    row, column = (int(number) for number in named.groups() if number is not None)
     content = _essentials(path)
     stream = io.StringIO(content.text)
     stream.name = path.name  # tells the parser the number of ports
@@ -92,16 +105,17 @@ def read_touchstone(file: str | os.PathLike[str], parameter: str = "S21") -> Swe
         raise DataError(f"{path}: declares {declared} frequencies and holds {len(frequency)}; it is truncated")
     ports = matrix.shape[1]
     if max(row, column) > ports:
-        only = "S11 only" if ports == 1 else f"S11 to S{ports}{ports}"
+        last = f"{ports}{ports}" if ports < 10 else f"{ports},{ports}"
+        only = "S11 only" if ports == 1 else f"S11 to S{last}"
         raise DataError(f"{path}: has no {parameter.upper()}; a file of {ports} port{'s' * (ports > 1)} has {only}")
     response = np.array(matrix[:, row - 1, column - 1], np.complex128)
-    start, step = _uniform(np.asarray(frequency, np.float64), path)
+    start, step, rounded = _uniform(np.asarray(frequency, np.float64), path)
     bad = np.flatnonzero(~np.isfinite(response))
     if len(bad):
         raise DataError(
             f"{path}: {parameter.upper()} is not finite at {start + step * bad[0]:.12g} Hz ({len(bad)} such values)"
         )
-    return Sweep(start, step, response)
+    return Sweep(start, step, response, rounded)
 
 
 def write_touchstone(
@@ -144,11 +158,7 @@ def _text(path: Path) -> str:
     size = path.stat().st_size
     if size > LARGEST_FILE:
         raise DataError(f"{path}: has {size / 2**20:.0f} MiB; a Touchstone file of more than 128 MiB is not read")
-    raw = path.read_bytes()
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
+    return read_text(path)
 
 
 def _essentials(path: Path) -> _Content:
@@ -164,7 +174,7 @@ def _essentials(path: Path) -> _Content:
     data: list[tuple[int, str]] = []
     option = version_2 = False
     counts = True  # whether lines of numbers here are S-parameters
-    for number, line in enumerate(_text(path).splitlines(), 1):
+    for number, line in enumerate(lines_of(_text(path)), 1):
         body = line.partition("!")[0].strip()
         if body.startswith("#"):
             body = "" if option else _option_line(body, f"{path}: line {number}")  # only the first one counts
@@ -203,14 +213,21 @@ def _check_counts(path: Path, data: Sequence[tuple[int, str]], ports: int, optio
 def _option_line(body: str, place: str) -> str:
     """Spell out an option line, whose parts may stand in any order or be left out; impedances change no value."""
     unit, form = "ghz", "ma"
-    for token in body[1:].lower().split():
+    tokens = body[1:].lower().split()
+    for name, units in _NO_FREQUENCIES.items():
+        if any(token in units for token in tokens) or (name == "time" and tokens.count("s") > 1):
+            raise DataError(
+                f"{place}: '{shown(body)}' is of a sweep over {name} (at one frequency); allowed: a sweep over "
+                "frequency, in Hz to GHz"
+            )
+    for token in tokens:
         if token in _UNITS:
             unit = token
         elif token in _FORMATS:
             form = token
         elif token in ("y", "z", "g", "h"):
             raise DataError(f"{place}: holds {token.upper()}-parameters; allowed: S-parameters")
-        elif token not in ("s", "r") and not _is_number(token, complex):
+        elif token not in ("s", "r") and not _is_number(token.removeprefix("r"), complex):
             raise DataError(f"{place}: {token[:20]!r} is unknown in an option line; allowed: as in '# Hz S RI R 50'")
     return f"# {unit} s {form} r 50"
 
@@ -242,13 +259,16 @@ def _flaw(data: Sequence[tuple[int, str]], ports: int) -> str:
     return "is no Touchstone file that can be read: its keywords or the breaks of its lines are unusual"
 
 
-def _uniform(frequency_hz: NDArray[np.float64], file: Path) -> tuple[float, float]:
-    """Start and step of the axis."""
+def _uniform(frequency_hz: NDArray[np.float64], file: Path) -> tuple[float, float, bool]:
+    """Start and step of the axis, and whether its values are rounded."""
     if not np.isfinite(frequency_hz).all():
         raise DataError(f"{file}: a frequency is not finite")
     if frequency_hz[0] < 0:
         raise DataError(f"{file}: starts at {frequency_hz[0]:.12g} Hz; allowed: 0 or more")
+    rounded = unrounded_axis(frequency_hz, AXIS_TOLERANCE)
+    if rounded is not None:
+        return *rounded, True
     if check_axis(frequency_hz, f"{file}: frequency", AXIS_TOLERANCE):
         raise DataError(f"{file}: frequencies fall from {frequency_hz[0]:.12g} Hz on; they must rise")
     start = float(frequency_hz[0])
-    return start, float((frequency_hz[-1] - start) / (len(frequency_hz) - 1))
+    return start, float((frequency_hz[-1] - start) / (len(frequency_hz) - 1)), False
