@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -28,8 +27,9 @@ from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 from mvla_sim.channel.header import Channel
 from mvla_sim.channel.readers.angles import closing_view
 from mvla_sim.channel.readers.arrays import ArrayReader
+from mvla_sim.channel.readers.nearby import is_deepmimo_3
 from mvla_sim.channel.readers.pairs import PairReader
-from mvla_sim.channel.readers.source import READERS, Foreign, GivenRadio, Reader
+from mvla_sim.channel.readers.source import READERS, Foreign, GivenRadio, Reader, note
 from mvla_sim.channel.readers.touchstone import TouchstoneFolder
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.engine.provenance import provenance
@@ -236,10 +236,9 @@ def _without_closing_view(channel: Channel, settings: ImportSettings, found: For
     if found.angles_deg is None or closing is None:
         return channel
     first, last = found.angles_deg.min(), found.angles_deg.max()
-    logging.getLogger("mvla_sim").warning(
-        "mvla: note: %s: the views at %g° and %g° are one direction; view %d (from 0) is left out",
-        settings.source, first, last, closing,
-    )  # fmt: skip
+    note(
+        f"{settings.source}: the views at {first:g}° and {last:g}° are one direction; view {closing} from 0 is left out"
+    )
     kept = channel.select(np.delete(np.arange(found.n_view), closing))
     return replace(kept, provenance={**kept.provenance, "source.left_out": f"view {closing}, which closes the turn"})
 
@@ -257,6 +256,8 @@ def source_kind(source: str | os.PathLike[str]) -> str:
         raise DataError(f"{place}: no such file or folder")
     if re.fullmatch(r"\.s\d+p|\.ts", place.suffix.lower()) and place.is_file():
         raise DataError(f"{place}: is one sweep; give the folder that holds a file a view")
+    if is_deepmimo_3(place.name) and place.is_file():
+        raise DataError(f"{place}: is of a DeepMIMO scenario of version 3; give the folder of one of version 4")
     own = {model.name for model in READERS.own()}
     for name in sorted(READERS.names(), key=lambda name: (name in own, name)):  # touchstone is last: any folder
         if READERS.find(name).recognises(place):

@@ -142,3 +142,33 @@ def test_a_turn_that_does_not_close_is_kept(tmp_path):
              angle=angles)  # fmt: skip
     overrides = ["arrays.angles=angle", "geometry.radius_m=5"]
     assert import_channel(import_settings(tmp_path / "a.npz", overrides=overrides)).n_view == 4
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        (["O1_28.params.mat", "O1_28.1.CIR.mat"], "of a DeepMIMO scenario of version 3; give one of version 4"),
+        (["a/O1_28.params.mat", "x.txt"], "deepmimo.download('o1_28')"),
+        (["m.setup", "m.txrx", "study/m.paths.t001_01.r002.p2m"], "Wireless InSite in study; give that: {}/study"),
+        (["m.setup", "a/b/m.cir.t001_01.r002.P2M"], "holds paths of Wireless InSite in a/b; give that: {}/a/b"),
+        (["e0/1.S1P", "e0/2.s1p", "e5/1.s1p", "e5/2.s1p"], "files in e0 and 1 more of its folders; give one of them"),
+        (["scene_0/params.json", "scene_1/params.json"], "holds a DeepMIMO scenario in scene_0 and 1 more"),
+        (["turn.mat", "README"], "to read a file in it, as turn.mat, give the file's name"),
+        (["a/b/c/1.s1p", ".hidden/1.s1p", "e0/._1.s1p"], "the folder holds no file"),
+        (["m.setup"], "the folder holds 1 files: m.setup"),
+    ],
+)
+def test_folders_that_people_give_are_told_what_to_give_instead(tmp_path, names, says):
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("x")
+    with pytest.raises(DataError) as caught:
+        import_channel(import_settings(tmp_path))
+    assert says.format(tmp_path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_of_an_old_deepmimo_scenario_is_told(tmp_path):
+    (tmp_path / "O1_28.params.mat").write_text("x")
+    with pytest.raises(DataError, match="is of a DeepMIMO scenario of version 3; give the folder of one of version 4"):
+        source_kind(tmp_path / "O1_28.params.mat")

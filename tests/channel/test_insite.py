@@ -66,6 +66,36 @@ def refused(file, text):
     return message
 
 
+OTHERS = ("cir", "doa", "dod", "pl", "pg", "power", "spread", "dspower")
+
+
+def test_a_study_folder_gives_its_paths_and_a_note_on_the_rest(tmp_path, printed, caplog):
+    for name in OTHERS:
+        (tmp_path / f"model.{name}.t001_01.r002.p2m").write_text(
+            "# <number of receiver points>\n 2\n1 3\n1 10.5 1e-8 -65\n"
+        )
+    (tmp_path / "model.inputpower.t01.p2m").write_text("0 0.001\n")
+    (tmp_path / "model.paths.t001_01.r003.P2M").write_text(AS_PRINTED)
+    (tmp_path / "._model.paths.t001_01.r002.p2m").write_text("of another system")
+    assert InSite().paths(tmp_path).n_pair == 2 * read_p2m(printed).n_pair
+    [note] = [record.getMessage() for record in caplog.records]
+    assert "left out: cir, doa, dod, dspower, inputpower, pg, pl, power, spread" in note
+
+
+def test_outputs_without_points_are_told_which_is_needed(tmp_path):
+    file = tmp_path / "my.model.cir.t001_01.r002.p2m"
+    assert "is InSite's output 'cir'" in refused(file, "# <number of receiver points>\n 1\n1 0\n")
+    assert "give my.model.paths.t001_01.r002.p2m" in refused(file, "x")
+    with pytest.raises(DataError, match=r"InSite's output of cir and no propagation paths; request these"):
+        InSite().paths(tmp_path)
+
+
+def test_files_of_other_names_are_read_where_none_is_named_paths(tmp_path, printed):
+    printed.rename(tmp_path / "run.1.p2m")
+    (tmp_path / "model.pl.t001_01.r002.p2m").write_text("#Rx\n1 4 3 1 5 92.5\n")
+    assert InSite().paths(tmp_path).n_pair == 2
+
+
 def test_a_file_as_insite_prints_it(printed):
     paths = read_p2m(printed)
     np.testing.assert_array_equal(paths.row_size, [2, 1])

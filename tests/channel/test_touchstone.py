@@ -396,11 +396,26 @@ def test_views_are_sorted_by_the_angle_in_their_names(tmp_path):
         ("car_030deg.s2p", "car_{angle}deg.s2p", 30),
         ("a.b(7)+.s2p", "({angle})+", 7),
         ("car_12.s2p.s2p", "car_{angle}", 12),
+        ("car_12,5deg.s2p", "car_{angle}deg", 12.5),
+        ("car_12,5.s2p", "{angle}", 12.5),
+        ("car_12,5.s2p", "car_{angle}", 12.5),
+        ("car_-012p50deg.s2p", "{angle}", -12.5),
+        ("12P5.s2p", "{angle}", 12.5),
+        ("az30p3.s2p", "az{angle}p3", 30),
+        ("az30,3.s2p", "az{angle},3", 30),
+        ("p30p.s2p", "{angle}", 30),
     ],
 )
 def test_angle_patterns(tmp_path, name, pattern, angle):
     fill(tmp_path, [name])
     assert read_folder(TouchstoneFolder(angle_pattern=pattern), tmp_path).angles_deg.tolist() == [angle]
+
+
+def test_a_decimal_mark_that_is_no_point_is_noted(tmp_path, caplog):
+    fill(tmp_path, ["car_0deg.s2p", "car_7p5deg.s2p", "car_15deg.s2p", "car_22p5deg.s2p"])
+    read_folder(TouchstoneFolder(), tmp_path)
+    [note] = [record.getMessage() for record in caplog.records]
+    assert note.endswith("'22p5' in its name is read as 22.5°")
 
 
 def folder_refused(settings, folder, match):
@@ -414,7 +429,10 @@ def folder_refused(settings, folder, match):
     [
         (["car.s2p", "car_10.s2p"], "car.s2p: its name has no angle by sweeps.angle_pattern = '{angle}'"),
         (["run2_010.s2p"], r"has 2 angles \(2, 010\)"),
-        (["car_10,5.s2p"], r"has 2 angles \(10, 5\)"),
+        (["car_10,5,2.s2p"], "has no angle"),
+        (["1p2p3.s2p"], "has no angle"),
+        (["1.2,3.s2p"], "has no angle"),
+        (["car_0,5deg.s2p", "car_0p5deg.s2p"], "the same view twice"),
         (["1.2.3.s2p"], "has no angle"),
         (["9" * 99 + ".s2p", "10.s2p", "010.0.s2p"], "10°, 10.s2p has 10°: the same view|010.0.s2p: has the angle 10°"),
         (["0.s2p", "90.s2p", "720.s2p"], "has the angle 0°, 720.s2p has 720°: the same view twice"),

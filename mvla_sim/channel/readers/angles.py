@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mvla_sim.channel.readers.source import note
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.scene.columns import read_columns
 
@@ -21,7 +22,8 @@ ANGLE_TOLERANCE_DEG: Final = 1e-6
 CLOSING_TOLERANCE_DEG: Final = 1e-3
 """How far the ends of a whole turn may be from 360° apart; angles in radians of single precision miss it by 1e-5."""
 
-_NUMBER = r"\d+(?:\.\d+)?(?![\d.]*\d)"
+_NUMBER = r"\d+(?:[.,pP]\d+)?(?![\d.]*\d)"
+_MARKS: Final = re.compile(r"[,pP]")
 
 
 def angles_of_files(files: Sequence[Path], pattern: str | None, angle_file: str | None) -> NDArray[np.float64]:
@@ -37,7 +39,8 @@ def angles_of_files(files: Sequence[Path], pattern: str | None, angle_file: str 
 
     Notes
     -----
-    In ``pattern`` ``{angle}`` is a decimal number with or without a sign, all else is literal. It is searched
+    In ``pattern`` ``{angle}`` is a decimal number with or without a sign, all else is literal. Its mark is a point, a
+    comma or, where file names allow neither, a ``p`` between digits (``car_12p5deg``); a note says so. It is searched
     for anywhere in the name without its suffix (a pattern may end in the suffix) and must fit in one place only.
     A sign right after a letter or digit is a hyphen (``car-10``), unless the pattern has text there (``car{angle}``).
     ``angle_file`` wins over the pattern.
@@ -47,7 +50,12 @@ def angles_of_files(files: Sequence[Path], pattern: str | None, angle_file: str 
     elif pattern is None or pattern.count("{angle}") != 1:
         raise ConfigError(f"sweeps.angle_pattern = {pattern!r}: must hold {{angle}} once, or give sweeps.angle_file")
     else:
-        listed = [_angle_in_name(file, pattern) for file in files]
+        texts = [_angle_in_name(file, pattern) for file in files]
+        listed = [float(_MARKS.sub(".", text)) for text in texts]
+        marked = next((i for i, text in enumerate(texts) if _MARKS.search(text)), None)
+        if marked is not None:
+            note(f"{files[marked]}: '{texts[marked]}' in its name is read as {listed[marked]:g}°")
+        _check_finite(listed, files)
     angles = np.array(listed, np.float64)
     _refuse_equal(angles, files)
     return angles
@@ -91,12 +99,13 @@ def missing_angles(angles_deg: NDArray[np.float64]) -> list[float]:
     return [float(np.round(angle % 360, 6)) for angle in lacking]
 
 
-def _angle_in_name(file: Path, pattern: str) -> float:
+def _angle_in_name(file: Path, pattern: str) -> str:
     if file.suffix and pattern.lower().endswith(file.suffix.lower()):
         pattern = pattern[: -len(file.suffix)]
     before, after = pattern.split("{angle}")
-    sign = "[+-]?" if before else r"(?:(?<![^\W_])[+-])?(?<![\d.])"
-    expression = f"{re.escape(before)}({sign}{_NUMBER}){re.escape(after)}"
+    sign = "[+-]?" if before else r"(?:(?<![^\W_])[+-])?(?<![\d.,])(?<!\dp)(?<!\dP)"
+    end = re.escape(after) or r"(?![.,pP\d]*\d)"
+    expression = f"{re.escape(before)}({sign}{_NUMBER}){end}"
     found = [match[1] for match in re.finditer(expression, file.stem, re.ASCII)]
     if len(found) != 1:
         what = f"{len(found)} angles ({', '.join(found)})" if found else "no angle"
@@ -104,10 +113,13 @@ def _angle_in_name(file: Path, pattern: str) -> float:
             f"{file}: its name has {what} by sweeps.angle_pattern = '{pattern}'; set the text around the angle, as in "
             "'car_{angle}deg', or an angle_file"
         )
-    angle = float(found[0])
-    if not np.isfinite(angle):
-        raise DataError(f"{file}: its name's angle is not a finite number")
-    return angle
+    return found[0]
+
+
+def _check_finite(angles_deg: Sequence[float], files: Sequence[Path]) -> None:
+    for file, angle in zip(files, angles_deg, strict=True):
+        if not np.isfinite(angle):
+            raise DataError(f"{file}: its name's angle is not a finite number")
 
 
 def _listed_angles(angle_file: str, files: Sequence[Path]) -> list[float]:

@@ -28,6 +28,7 @@ import numpy as np
 
 from mvla_sim.channel.cir import INTERACTIONS
 from mvla_sim.channel.readers.pairs import PairPaths, PairReader, join_pairs
+from mvla_sim.channel.readers.source import note
 from mvla_sim.errors import DataError
 from mvla_sim.files import existing_file
 
@@ -42,6 +43,8 @@ _LETTERS: Final = {
     "F": INTERACTIONS["refraction"],
     "X": INTERACTIONS["refraction"],
 }
+_PATHS: Final = "paths"
+_OUTPUT: Final = re.compile(r".+?\.([A-Za-z_]+)\.t\d+(?:_\d+)?(?:\.r\d+)?\.p2m", re.IGNORECASE)
 _LONGEST_LINE: Final = 4096
 _RECEIVER_BYTES, _PATH_BYTES, _POINT_BYTES = len("1 0\n"), len("1 0 0 0 0 0 0 0\nTx-Rx\n0 0 0\n0 0 0\n"), len("0 0 0\n")
 """The fewest bytes that can hold one; a count that needs more than the file has is refused before it is followed."""
@@ -79,15 +82,41 @@ class InSite(PairReader):
     @classmethod
     def recognises(cls, source: Path) -> bool:
         """Whether its suffix is .p2m, or a folder holds such files."""
-        return source.suffix.lower() == ".p2m" or (source.is_dir() and any(source.glob("*.p2m")))
+        return source.suffix.lower() == ".p2m" or (source.is_dir() and any(map(_is_p2m, source.glob("*"))))
 
     def paths(self, source: Path) -> PairPaths:
-        """All pairs of all files."""
-        files = sorted(source.glob("*.p2m")) if source.is_dir() else [source]
-        if not files:
-            raise DataError(f"{source}: holds no .p2m file")
+        """All pairs of all files of paths; what else InSite writes beside them is left out."""
+        files = _path_files(source) if source.is_dir() else [source]
         parts = [read_p2m(file, self.transmit_power_dbm) for file in files]
         return parts[0] if len(parts) == 1 else join_pairs(parts, {"files": str(len(parts))})
+
+
+def _is_p2m(file: Path) -> bool:
+    return file.suffix.lower() == ".p2m" and not file.name.startswith(".")
+
+
+def _output(file: Path) -> str:
+    """What InSite's name of a file says it holds: ``cir`` of ``model.cir.t001_01.r002.p2m``; "" for other names."""
+    named = _OUTPUT.fullmatch(file.name)
+    return named[1].lower() if named else ""
+
+
+def _path_files(folder: Path) -> list[Path]:
+    """Files of paths in a study folder: by name, or else those whose name does not say what they hold."""
+    files = sorted(filter(_is_p2m, folder.glob("*")))
+    if not files:
+        raise DataError(f"{folder}: holds no .p2m file")
+    chosen = [file for file in files if _output(file) == _PATHS] or [file for file in files if not _output(file)]
+    others = sorted({_output(file) or file.name for file in files if file not in chosen})
+    if not chosen:
+        raise DataError(
+            f"{folder}: holds InSite's output of {', '.join(others[:12])} and no propagation paths; request these in "
+            "InSite, which writes them as NAME.paths.t001_01.r002.p2m"
+        )
+    if others:
+        note(f"{folder}: {', '.join(file.name for file in chosen[:3])}{', …' * (len(chosen) > 3)} read; InSite's other "
+             f"output is left out: {', '.join(others[:12])}{', …' * (len(others) > 12)}")  # fmt: skip
+    return chosen
 
 
 def read_p2m(file: str | os.PathLike[str], transmit_power_dbm: float = 0.0) -> PairPaths:
@@ -116,6 +145,12 @@ def read_p2m(file: str | os.PathLike[str], transmit_power_dbm: float = 0.0) -> P
         Missing, truncated, not of this format, or with an unknown interaction; the message names the line.
     """
     path = existing_file(file, "InSite path file (.p2m)")
+    if (output := _output(path)) not in ("", _PATHS):
+        wanted = re.sub(rf"\.{output}\.", f".{_PATHS}.", path.name, count=1, flags=re.IGNORECASE)
+        raise DataError(
+            f"{path}: is InSite's output '{output}', which lacks the points of paths; give {wanted}, its output "
+            "of propagation paths"
+        )
     try:
         with path.open("rb") as handle:
             found = _parse(_Lines(path, handle, path.stat().st_size))

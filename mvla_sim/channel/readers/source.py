@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from mvla_sim.channel.header import Channel
 from mvla_sim.kinds import Kind, Kinds
 
-__all__ = ["READERS", "Foreign", "GivenRadio", "Reader"]
+__all__ = ["READERS", "Foreign", "GivenRadio", "Reader", "note"]
 
 READERS: Final[Kinds[Reader]] = Kinds("reader", "mvla_sim.readers", "mvla_sim.channel.readers", key=None)
 """All readers by name."""
@@ -84,3 +85,8 @@ class Reader(Kind):
             One line that names the file or setting, its value and what is allowed.
         """
         raise NotImplementedError
+
+
+def note(text: str) -> None:
+    """Say in one line what was assumed of a source, or left out of it."""
+    logging.getLogger("mvla_sim").warning("mvla: note: %s", text)

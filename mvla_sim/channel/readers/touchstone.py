@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fnmatch
-import logging
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from mvla_sim.channel.readers.angles import angles_of_files, missing_angles
-from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader
+from mvla_sim.channel.readers.nearby import what_to_give
+from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader, note
 from mvla_sim.channel.readers.touchstone_files import AXIS_TOLERANCE, PARAMETER, Sweep, read_touchstone
 from mvla_sim.channel.references import BackgroundSettings, ReferenceSettings, calibrate, subtract_background
 from mvla_sim.channel.response import FrequencyResponse
@@ -64,7 +64,7 @@ class TouchstoneFolder(Reader):
         facts = {"files": f"{files[0].name} to {files[-1].name}"}
         if lacking := missing_angles(swept.angles_deg):
             shown = ", ".join(f"{angle:g}" for angle in lacking[:8])
-            _note(f"{source}: no file for {len(lacking)} of the evenly spaced angles: {shown}°")
+            note(f"{source}: no file for {len(lacking)} of the evenly spaced angles: {shown}°")
         background = None
         if self.background is not None:
             background = self._like(swept, self.background.file)
@@ -142,13 +142,9 @@ def read_folder(settings: TouchstoneFolder, folder: str | os.PathLike[str]) -> F
         rows.append(sweep.response)
     assert first is not None
     if first.rounded:
-        _note(f"{files[0]}: frequencies are rounded by more than {AXIS_TOLERANCE:.0%} of a step; read as even steps of "
+        note(f"{files[0]}: frequencies are rounded by more than {AXIS_TOLERANCE:.0%} of a step; read as even steps of "
               f"{first.step_hz:.9g} Hz from {first.start_hz:.12g} Hz")  # fmt: skip
     return FolderSweeps(tuple(files), angles, first.start_hz, first.step_hz, np.stack(rows))
-
-
-def _note(text: str) -> None:
-    logging.getLogger("mvla_sim").warning("mvla: note: %s", text)
 
 
 def _view_files(settings: TouchstoneFolder, folder: Path) -> list[Path]:
@@ -169,6 +165,8 @@ def _view_files(settings: TouchstoneFolder, folder: Path) -> list[Path]:
     apart = {Path(name).resolve() for name in others if name}
     files = [file for file in matching if file.resolve() not in apart]
     if not files:
+        if not matching and (advice := what_to_give(folder)):
+            raise DataError(f"{folder}: {advice}")
         found = f"{len(names)} files: {', '.join(names[:3])}{', …' * (len(names) > 3)}" if names else "no file"
         if matching:
             found = f"only {', '.join(file.name for file in matching)} of background and reference"
