@@ -95,6 +95,9 @@ def reproduce(
     reading: Annotated[
         list[str] | None, typer.Option(help="Reading of the paper; default paper and physical. May be repeated.")
     ] = None,
+    fresh_seeds: Annotated[
+        bool, typer.Option("--fresh-seeds", help="Judge readings on seeds they were not chosen with as well.")
+    ] = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
     cache_url: CacheUrl = None,
@@ -109,7 +112,9 @@ def reproduce(
 
     code = 0
     with shared_cache(cache_url), open_cluster(workers, scheduler, note) as cluster:
-        for step in steps(experiments, output, cluster=cluster, quick=quick, readings=reading or READINGS):
+        for step in steps(
+            experiments, output, cluster=cluster, quick=quick, readings=reading or READINGS, fresh_seeds=fresh_seeds
+        ):
             if isinstance(step, RunStep):
                 code = max(code, _show_run(step.plan, step.result, step.pictures))
             elif isinstance(step, MeasurementStep):

@@ -11,7 +11,8 @@ from scipy.stats import spearmanr
 
 __all__ = [
     "BP", "DENSE_DEG", "MVLA", "SPARSE_DEG", "CannotTellError", "calibrated_means", "dense_and_sparse", "finite",
-    "left_out", "mean_advantage", "mean_by_target", "mean_cd", "need", "rank_correlation", "spread_over_snr",
+    "grid_area_m2", "left_out", "mean_advantage", "mean_by_target", "mean_cd", "need",
+    "rank_correlation", "spread_over_snr",
 ]  # fmt: skip
 
 MVLA, BP = "mvla-gr", "bp"
@@ -111,6 +112,12 @@ def calibrated_means(table: pd.DataFrame) -> pd.DataFrame:
     names = ["top_percent", "min_support_deg", "area_m2"]
     within = table.groupby(["snr_db", "method", "interval_deg"])[names].mean()
     return pd.DataFrame(within.groupby(["snr_db", "method"]).mean().unstack("method"))
+
+
+def grid_area_m2(table: pd.DataFrame) -> float:
+    """Area of the grid that a table's images are on, m², from BP's retained areas and their p; NaN without any."""
+    bp = table[(table["method"] == BP) & (table["top_percent"] > 0)]
+    return float((100 * bp["area_m2"] / bp["top_percent"]).median())
 
 
 def rank_correlation(x: Any, y: Any) -> float:

@@ -26,6 +26,7 @@ from mvla_sim.paper.averages import (
     CannotTellError,
     calibrated_means,
     dense_and_sparse,
+    grid_area_m2,
     left_out,
     mean_by_target,
     mean_cd,
@@ -35,8 +36,8 @@ from mvla_sim.paper.averages import (
 )
 
 __all__ = [
-    "PAPER_ETA", "PAPER_KAPPA", "PAPER_THRESHOLDS", "TARGETS", "Claim", "ResultTables", "claims_table", "judge",
-    "thresholds_table",
+    "CLAIM_TEXTS", "PAPER_ETA", "PAPER_KAPPA", "PAPER_THRESHOLDS", "TARGETS", "WIDE_M2", "Claim", "ResultTables",
+    "claims_table", "judge", "thresholds_table",
 ]  # fmt: skip
 
 PAPER_KAPPA: Final = 0.5
@@ -51,6 +52,8 @@ PAPER_THRESHOLDS: Final = pd.DataFrame(
 )
 """The paper's calibrated thresholds; p in per cent of all voxels of its own grid."""
 
+WIDE_M2: Final = 400.0
+"""Area of a grid as wide as the trajectory."""
 STRONG_RANK: Final = 0.9 - 1e-9
 """Five values with one neighbouring pair swapped have a rank correlation of 0.9, which is to count."""
 CLOSE_DB: Final = 1.0
@@ -126,20 +129,24 @@ def claims_table(claims: list[Claim]) -> pd.DataFrame:
 def thresholds_table(optimal: pd.DataFrame, calibrated: pd.DataFrame | None = None) -> pd.DataFrame:
     """Calibrated thresholds per SNR beside the paper's (Table I's layout), with retained areas in m².
 
-    ``mvla_area_m2`` and ``bp_area_m2`` are what these thresholds retain, NaN without ``calibrated``;
+    ``mvla_wide_percent`` and ``bp_wide_percent`` are p as area, in per cent of a grid as wide as the trajectory, 20 m
+    × 20 m. ``mvla_area_m2`` and ``bp_area_m2`` are what these thresholds retain, NaN without ``calibrated``;
     ``mvla_optimal_area_m2`` is what each case's own optimum retains: with Θ ≥ T_θ an average of thresholds does not
     retain the average of areas. Areas are averaged as the thresholds are, over intervals of equal weight.
     """
     means = calibrated_means(optimal)
     areas = calibrated_means(calibrated)["area_m2"] if calibrated is not None else means["area_m2"] * float("nan")
     table = PAPER_THRESHOLDS.rename(columns=lambda c: c if c == "snr_db" else f"paper_{c}").set_index("snr_db")
+    wide = grid_area_m2(optimal) / WIDE_M2
     ours = pd.DataFrame(
         {
             "mvla_top_percent": means["top_percent"][MVLA],
+            "mvla_wide_percent": wide * means["top_percent"][MVLA],
             "mvla_min_support_deg": means["min_support_deg"][MVLA],
             "mvla_area_m2": areas[MVLA],
             "mvla_optimal_area_m2": means["area_m2"][MVLA],
             "bp_top_percent": means["top_percent"][BP],
+            "bp_wide_percent": wide * means["top_percent"][BP],
             "bp_area_m2": areas[BP],
         }
     )
@@ -383,3 +390,7 @@ def _c15(check: Mapping[str, float]) -> Outcome:
 def _c16(check: Mapping[str, Any]) -> Outcome:
     change = max(check["largest_score_change"].values())
     return Outcome(f"largest change of a score {change:.1e} of the largest score", change, PHASE_CHANGE - change)
+
+
+CLAIM_TEXTS: Final[Mapping[str, str]] = {number: entry.text for number, entry in _CLAIMS.items()}
+"""What the paper says, by the claim's number."""

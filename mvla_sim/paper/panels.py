@@ -1,11 +1,11 @@
-"""Figures of the paper's experiments: parameter maps, CD against the interval per SNR, examples.
+"""Figures of the paper's experiments: parameter maps, CD against the interval per SNR, examples, effects.
 
 ``title``, ``figure`` and ``ax`` are as in :mod:`mvla_sim.plot`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,10 @@ from mvla_sim.imaging.image import Image
 from mvla_sim.paper.averages import finite
 from mvla_sim.paper.claims import PAPER_ETA, PAPER_KAPPA
 from mvla_sim.plot import drawing, style
+from mvla_sim.plot.drawing import Panel
 from mvla_sim.plot.style import Given
 
-__all__ = ["parameter_maps", "plot_cd_panels", "plot_examples", "plot_parameter_maps"]
+__all__ = ["parameter_maps", "plot_cd_panels", "plot_effects", "plot_examples", "plot_parameter_maps"]
 
 METHODS = {"mvla-gr": ("MVLA-GR", "blue", "o"), "bp": ("BP", "vermilion", "s")}
 
@@ -161,6 +162,35 @@ def plot_examples(
             axes.set_title(label)
         style.figure_legend(canvas, list(handles.values()), columns=4)
     return canvas
+
+
+def plot_effects(table: pd.DataFrame, labels: Mapping[str, str], *, ax: Panel | None = None) -> Figure | Panel:
+    """Draw shares of variance: a row a setting, a column a figure, the settings of the largest shares on top.
+
+    Parameters
+    ----------
+    table
+        Columns ``figure``, ``setting`` and ``share``, as of :func:`~mvla_sim.paper.effects.effects` without pairs.
+    labels
+        What each figure is called, in the order of the columns.
+    """
+    shares = 100 * table.pivot(index="setting", columns="figure", values="share")
+    shares = shares.reindex(columns=[name for name in labels if name in shares]).fillna(0)
+    shares = shares.loc[shares.sum(axis=1).sort_values(ascending=False, kind="stable").index]
+    with style.figure_style():
+        figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.9 + 0.19 * len(shares))
+        axes = figure.subplots() if ax is None else ax
+        axes.imshow(shares.to_numpy(), aspect="auto", cmap="Blues", vmin=0, vmax=max(30.0, shares.to_numpy().max()))
+        for (row, column), share in np.ndenumerate(shares.to_numpy()):
+            if share >= 1:
+                axes.text(
+                    column, row, f"{share:.0f}", ha="center", va="center", color="white" if share > 25 else "black"
+                )
+        axes.set_xticks(range(shares.shape[1]), [labels[str(name)] for name in shares], rotation=45, ha="left")
+        axes.set_yticks(range(shares.shape[0]), list(shares.index))
+        axes.xaxis.tick_top()
+        axes.tick_params(length=0)
+    return figure if ax is None else ax
 
 
 def _draw_parameter_map(axes: Axes, grid: pd.DataFrame, limits: tuple[float, float], *, write: bool) -> AxesImage:

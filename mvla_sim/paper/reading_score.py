@@ -26,8 +26,17 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from mvla_sim.paper.averages import BP, MVLA, CannotTellError, calibrated_means, finite, mean_by_target, need
-from mvla_sim.paper.claims import PAPER_ETA, PAPER_KAPPA, PAPER_THRESHOLDS, TARGETS, Claim, ResultTables, judge
+from mvla_sim.paper.averages import (
+    BP,
+    MVLA,
+    CannotTellError,
+    calibrated_means,
+    finite,
+    grid_area_m2,
+    mean_by_target,
+    need,
+)
+from mvla_sim.paper.claims import PAPER_ETA, PAPER_KAPPA, PAPER_THRESHOLDS, TARGETS, WIDE_M2, Claim, ResultTables, judge
 
 __all__ = ["UNITS", "reading_score", "tables_of"]
 
@@ -39,7 +48,6 @@ UNITS: Final[dict[str, float]] = {
 _DEPTH_WEIGHT, _DEPTH_DB = 2.0, 6.0
 _PLACE_WEIGHT, _PLACE_CELLS = 1.0, 4.0
 _TABLE_WEIGHT, _TABLE_RATIO = 4.0, 4.0
-_WIDE_M2 = 400.0
 _COLUMNS: Final = (
     "scene", "protocol", "status", "method", "kappa", "eta", "snr_db", "interval_deg", "offset", "seed", "cd_db",
     "top_percent", "min_support_deg", "area_m2",
@@ -137,14 +145,13 @@ def _thresholds(table: pd.DataFrame | None) -> dict[str, float]:
     means = calibrated_means(finite(table))
     paper = PAPER_THRESHOLDS.set_index("snr_db")
     rows = [snr for snr in paper.index if snr in means.index]
-    bp = table[(table["method"] == BP) & (table["top_percent"] > 0)]
-    if not rows or bp.empty:
+    grid_m2 = grid_area_m2(table)
+    if not rows or math.isnan(grid_m2):
         return {**errors, "table_log_error": float("nan")}
-    grid_m2 = float((100 * bp["area_m2"] / bp["top_percent"]).median())
     p = {method: means["top_percent"][method].loc[rows] for method in (MVLA, BP)}
     support = means["min_support_deg"][MVLA].loc[rows]
     ratios = {}
-    for name, factor in (("_own", 1.0), ("_wide", grid_m2 / _WIDE_M2)):
+    for name, factor in (("_own", 1.0), ("_wide", grid_m2 / WIDE_M2)):
         ratios[name] = np.concatenate(
             [
                 factor * p[MVLA] / paper.loc[rows, "mvla_top_percent"],

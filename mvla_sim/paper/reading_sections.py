@@ -18,10 +18,12 @@ from mvla_sim.sweep.plan import Plan
 from mvla_sim.sweep.run import images_of
 from mvla_sim.sweep.table import FILE, PARQUET, load_table, write_csv
 
-__all__ = ["READINGS", "ReadingResults", "draw_examples", "sections_of_readings", "stored_readings"]
+__all__ = ["FRESH", "READINGS", "ReadingResults", "draw_examples", "sections_of_readings", "stored_readings"]
 
 READINGS: Final = ("paper", "physical")
 """Readings that are reproduced, in the order of the report."""
+FRESH: Final = "-fresh"
+"""Behind a reading's name: judged on seeds that it was not chosen with."""
 TABLES: Final = ("kappa-eta", "star-optimal", "star-calibrated")
 EXAMPLE_CASES = [(20.0, i) for i in (1.0, 5.0, 10.0, 30.0)] + [(snr, 5.0) for snr in (15.0, 10.0, 5.0, 0.0)]
 """(SNR in dB, interval in degrees) of the paper's eight example panels."""
@@ -30,10 +32,12 @@ _STAR_COLUMNS = {"snr_db", "interval_deg", "method", "cd_db", "top_percent", "mi
 _HEADS = {
     "snr_db": "SNR (dB)",
     "mvla_top_percent": "MVLA-GR p (%)",
+    "mvla_wide_percent": "of 20 × 20 m (%)",
     "paper_mvla_top_percent": "paper",
     "mvla_min_support_deg": "MVLA-GR T_θ (°)",
     "paper_mvla_min_support_deg": "paper ",
     "bp_top_percent": "BP p (%)",
+    "bp_wide_percent": "of 20 × 20 m (%) ",
     "paper_bp_top_percent": "paper  ",
     "mvla_area_m2": "MVLA-GR area (m²)",
     "mvla_optimal_area_m2": "at its optima (m²)",
@@ -79,7 +83,8 @@ def stored_readings(folder: Path, checks: dict[str, Any]) -> list[ReadingResults
     """
     there = sorted({file.parent.parent.name for name in TABLES for file in folder.glob(f"*/{name}/table.*")})
     found = []
-    for name in sorted(there, key=lambda n: READINGS.index(n) if n in READINGS else len(READINGS)):
+    order = [name for reading in READINGS for name in (reading, f"{reading}{FRESH}")]
+    for name in sorted(there, key=lambda n: order.index(n) if n in order else len(order)):
         tables = {table: _table(folder / name / table) for table in TABLES}
         if any(table is not None for table in tables.values()):
             maps, optimal, calibrated = tables.values()
@@ -170,8 +175,9 @@ def _thresholds(readings: Sequence[ReadingResults]) -> Section:
     if not tables:
         return Section(title, "Not run.")
     text = (
-        "p is per cent of all voxels and depends on the grid, the retained area does not. The paper does not say its "
-        "grid. MVLA-GR's p is before the test Θ ≥ T_θ, its area after it."
+        "p is per cent of all voxels and depends on the grid, areas do not. The paper does not say its grid; beside p "
+        "it is given as area, in per cent of a grid as wide as the trajectory. MVLA-GR's p is before the test Θ ≥ T_θ, "
+        "its area after it."
     )
     return Section(title, text, tables=tables)
 

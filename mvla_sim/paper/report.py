@@ -16,6 +16,7 @@ from mvla_sim.paper.beyond import sections_beyond
 from mvla_sim.paper.claims import claims_table
 from mvla_sim.paper.page import Section, table_html, write_page
 from mvla_sim.paper.reading_sections import ReadingResults, sections_of_readings, stored_readings
+from mvla_sim.paper.search_sections import search_sections
 from mvla_sim.sweep.table import RECORD, write_csv
 
 __all__ = ["write_report"]
@@ -52,6 +53,7 @@ def write_report(folder: Path) -> Path:
         _claims(readings, folder),
         *sections_of_readings(readings),
         _vehicle(folder, vehicle),
+        *search_sections(folder),
         *beyond,
         _record(folder),
     ]

@@ -16,12 +16,12 @@ from mvla_sim.files import atomic_output, make_folder
 from mvla_sim.measured.process import Processed, load_process, process
 from mvla_sim.measured.process_files import write_processed
 from mvla_sim.paper.checks import count_work, measure_phase
-from mvla_sim.paper.reading_sections import READINGS, draw_examples
+from mvla_sim.paper.reading_sections import FRESH, READINGS, draw_examples
 from mvla_sim.paper.report import write_report
 from mvla_sim.pictures.run_pictures import draw_run
 from mvla_sim.scene.world import Scene
 from mvla_sim.shipped import shipped_folder
-from mvla_sim.sweep.experiment import load_experiment
+from mvla_sim.sweep.experiment import ExperimentSettings, load_experiment
 from mvla_sim.sweep.plan import Plan, expand
 from mvla_sim.sweep.run import run_plan
 from mvla_sim.sweep.session import RunResult
@@ -32,6 +32,10 @@ EXPERIMENTS: Final = ("main", "kappa-eta", "star-optimal", "star-calibrated", "e
 """Experiments in the order they run; the calibrated one needs the optimal one's table."""
 MEASURED: Final = ("vehicle", "vehicle-3d")
 """Measurements that are processed, not swept."""
+JUDGED: Final = ("kappa-eta", "star-optimal", "star-calibrated")
+"""Those that claims rest on."""
+FRESH_TRACING, FRESH_NOISE = 2, (2, 3, 4, 5, 6)
+"""Seeds that no reading was chosen with."""
 QUICK_OVERRIDES: Final = dict.fromkeys(("kappa-eta", "star-optimal", "star-calibrated"), ("axes.seed=[0]",))
 
 
@@ -60,6 +64,7 @@ def reproduce(
     cluster: Cluster,
     quick: bool = False,
     readings: Sequence[str] = READINGS,
+    fresh_seeds: bool = False,
 ) -> Iterator[RunStep | MeasurementStep | Path]:
     """Run the experiments, the checks, and build the report from what they stored; yield each when it is finished.
 
@@ -73,6 +78,8 @@ def reproduce(
         One noise seed.
     readings
         Readings that each experiment is run under; see :mod:`mvla_sim.imaging.reading`.
+    fresh_seeds
+        Judge each reading on seeds that it was not chosen with as well: another tracing seed, noise seeds 2 to 6.
 
     Raises
     ------
@@ -90,6 +97,12 @@ def reproduce(
         for reading in readings
         for name in EXPERIMENTS
     }
+    if fresh_seeds:
+        chosen |= {
+            (f"{reading}{FRESH}", name): _on_fresh_seeds(settings)
+            for (reading, name), settings in chosen.items()
+            if name in JUDGED
+        }
     seconds: dict[str, float] = {}
     for (reading, name), settings in chosen.items():
         began = time.perf_counter()
@@ -114,6 +127,13 @@ def reproduce(
     seconds["checks"] = time.perf_counter() - began
     _write(folder / "run.json", {"quick": quick, "seconds": seconds, "total_s": sum(seconds.values())})
     yield write_report(folder)
+
+
+def _on_fresh_seeds(settings: ExperimentSettings) -> ExperimentSettings:
+    """The same experiment with another tracing seed and other noise seeds; as many of these as it had, at most five."""
+    count = len(settings.axes.get("seed", FRESH_NOISE))
+    axes = {**settings.axes, "scene.ray_tracing.seed": (FRESH_TRACING,), "seed": FRESH_NOISE[:count]}
+    return settings.model_copy(update={"axes": axes})
 
 
 def _file(experiments: Path, name: str) -> Path:

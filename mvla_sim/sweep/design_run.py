@@ -1,4 +1,4 @@
-"""Run a design round by round: score every sample, keep the best share, and write one row a sample at the end."""
+"""Run a design round by round: score every sample, keep the best share, and write one row a sample and round."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from mvla_sim.sweep.table import build_table, write_table
 __all__ = ["DESIGN", "DesignResult", "RoundState", "best_samples", "load_design", "run_design", "survey_design"]
 
 DESIGN: Final = "design.csv"
-"""One row a sample, in the experiment's folder."""
+"""One row a sample and round, in the experiment's folder."""
 HEAD: Final = (SAMPLE, "round", "cases", "failed", "invalid", SCORE)
 
 
@@ -37,11 +37,12 @@ HEAD: Final = (SAMPLE, "round", "cases", "failed", "invalid", SCORE)
 class DesignResult(RunResult):
     """What a run of a design leaves."""
 
-    design: pd.DataFrame  # one row a sample; see `load_design`
+    design: pd.DataFrame  # one row a sample and round; see `load_design`
 
     def __repr__(self) -> str:
         """One line: how many cases and samples there are."""
-        return f"DesignResult({self.count('done')} of {len(self.table)} cases done, {len(self.design)} samples)"
+        samples = self.design[SAMPLE].nunique()
+        return f"DesignResult({self.count('done')} of {len(self.table)} cases done, {samples} samples)"
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,9 @@ def run_design(
 
     Notes
     -----
-    ``table.csv`` and ``table.parquet`` have the cases of all rounds, ``design.csv`` the samples. Of the settings they
-    have those that differ between cases: axes, the sample's own and the round's; all others are in ``experiment.json``.
+    ``table.csv`` and ``table.parquet`` have the cases of all rounds, ``design.csv`` the samples of each. Of the
+    settings they have those that differ between cases: axes, the sample's own and the round's; all others are in
+    ``experiment.json``.
 
     Raises
     ------
@@ -144,11 +146,11 @@ def survey_design(plan: DesignPlan, folder: Path, workers: int) -> list[RoundSta
 
 
 def load_design(folder: str | os.PathLike[str]) -> pd.DataFrame:
-    """Read what came of a design from its folder: one row a sample, in the order in which they were drawn.
+    """Read what came of a design from its folder: one row a sample and round, in the order in which they were drawn.
 
-    Columns are ``sample``, ``round`` (the last it was run in, from 1; 0 for samples that cannot be run), ``cases`` and
-    ``failed`` (their number in that round), ``invalid`` (why it cannot be run), the settings by the design's names, and
-    ``score`` with the score's other figures in that round.
+    Columns are ``sample``, ``round`` (from 1; 0 for samples that cannot be run), ``cases`` and ``failed`` (their number
+    in that round), ``invalid`` (why it cannot be run), the settings by the design's names, and ``score`` with the
+    score's other figures in that round.
 
     Raises DataError: there is none, or it is no such table.
     """
@@ -163,8 +165,9 @@ def load_design(folder: str | os.PathLike[str]) -> pd.DataFrame:
 
 
 def best_samples(design: pd.DataFrame, count: int) -> pd.DataFrame:
-    """The rows of the best samples: those of the last round before others, then by their score."""
-    return design.sort_values(["round", SCORE], ascending=[False, True], na_position="last", kind="stable").head(count)
+    """The rows of the best samples in their last rounds: those of later rounds before others, then by their score."""
+    last = design.sort_values("round", kind="stable").drop_duplicates(SAMPLE, keep="last")
+    return last.sort_values(["round", SCORE], ascending=[False, True], na_position="last", kind="stable").head(count)
 
 
 def _figures(plan: DesignPlan, one: _Round, rows: Mapping[str, Row]) -> tuple[dict[str, dict[str, float]], list[str]]:
@@ -248,19 +251,25 @@ def _write(
 
 
 def _design_table(plan: DesignPlan, rounds: Sequence[_Round], rows: Mapping[str, Row]) -> pd.DataFrame:
-    records: dict[str, dict[str, object]] = {}
-    for sample in plan.every:
-        head = {SAMPLE: sample.label, "round": 0, "cases": 0, "failed": 0, "invalid": plan.invalid.get(sample, "")}
-        values = {key: math.nan if value is None else value for key, value in sample.values.items()}
-        records[sample.label] = {**head, **values, SCORE: math.nan}
+    settings = {
+        sample.label: {key: math.nan if value is None else value for key, value in sample.values.items()}
+        for sample in plan.every
+    }
+    reasons = {sample.label: why for sample, why in plan.invalid.items()}
+    records: list[dict[str, object]] = []
+    for sample in plan.every if not rounds else plan.invalid:
+        head = {SAMPLE: sample.label, "round": 0, "cases": 0, "failed": 0, "invalid": reasons.get(sample.label, "")}
+        records.append(head | settings[sample.label] | {SCORE: math.nan})
     for one in rounds:
         statuses: dict[str, list[str]] = {sample.label: [] for sample in one.samples}
         for case in one.plan.cases:
             statuses[str(case.values[SAMPLE])].append(_status(rows, case))
         for label, found in statuses.items():
-            counts = {"round": one.number + 1, "cases": len(found), "failed": found.count("failed")}
+            counts = {"round": one.number + 1, "cases": len(found), "failed": found.count("failed"), "invalid": ""}
             figures = one.figures.get(label, {})
             if taken := sorted({*HEAD[:-1], *plan.design.keys} & {*figures}):
                 raise DataError(f"design.score = '{plan.score.name}': a figure cannot be called '{taken[0]}'")
-            records[label] |= {**counts, **figures}
-    return pd.DataFrame(list(records.values()))
+            records.append({SAMPLE: label, **counts, **settings[label], SCORE: math.nan, **figures})
+    order = {sample.label: place for place, sample in enumerate(plan.every)}
+    return pd.DataFrame(records).sort_values([SAMPLE, "round"], key=lambda c: c.map(order) if c.name == SAMPLE else c,
+                                             kind="stable", ignore_index=True)  # fmt: skip

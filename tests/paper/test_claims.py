@@ -151,6 +151,14 @@ def test_thresholds_stand_beside_the_papers():
     np.testing.assert_allclose(table["mvla_min_support_deg"], [30, 35, 40, 45, 50])
 
 
+def test_p_is_also_in_per_cent_of_a_grid_as_wide_as_the_trajectory():
+    """1 % of 100 m² is a quarter of a per cent of 400 m²."""
+    table = star(as_published, p=lambda snr, method: 1.0 + (method == "mvla-gr"))
+    found = thresholds_table(table.assign(area_m2=table["top_percent"]))
+    np.testing.assert_allclose(found["bp_wide_percent"], 0.25)
+    np.testing.assert_allclose(found["mvla_wide_percent"], 0.5)
+
+
 def test_thresholds_average_within_an_interval_first():
     """An interval with many offsets weighs as much as one with few."""
     table = GOOD["star_optimal"]
