@@ -5,7 +5,10 @@ from __future__ import annotations
 import typing
 from typing import Any
 
-__all__ = ["ConfigError", "DataError", "MvlaError", "OutputError", "RuntimeUnfitError", "check_argument", "reason"]
+__all__ = [
+    "ConfigError", "DataError", "MvlaError", "MvlaWarning", "OutputError", "RuntimeUnfitError", "check_argument",
+    "reason",
+]  # fmt: skip
 
 
 class MvlaError(Exception):
@@ -41,6 +44,10 @@ class OutputError(MvlaError, OSError):
 
 class RuntimeUnfitError(MvlaError, RuntimeError):
     """This machine cannot run the compiled kernels as it is set up; the message says how to fix it."""
+
+
+class MvlaWarning(UserWarning):
+    """Something was assumed, or is allowed and seldom meant; the command line prints it as a note of one line."""
 
 
 def check_argument(name: str, value: object, kind: Any, remedy: str) -> None:

@@ -16,8 +16,7 @@ from mvla_sim.cli.measured_commands import measured_app
 from mvla_sim.cli.options import note, option_for, out
 from mvla_sim.cli.scene_commands import channel_app, scene_app
 from mvla_sim.cli.sweep_commands import sweep_app
-from mvla_sim.errors import MvlaError
-from mvla_sim.imaging.reading import ReadingWarning
+from mvla_sim.errors import MvlaError, MvlaWarning
 from mvla_sim.interrupt import INTERRUPTED
 
 __all__ = ["app", "run"]
@@ -40,16 +39,19 @@ def run(arguments: list[str]) -> int:
     if arguments in ([], ["scene"], ["dataset"]):
         arguments = [*arguments, "--help"]
     shown = warnings.showwarning
+    told: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
-        if issubclass(category, ReadingWarning):
-            note(f"note: {message}")
+        if issubclass(category, MvlaWarning):
+            if str(message) not in told:  # a scene may be built more than once
+                told.add(str(message))
+                note(f"note: {message}")
         else:
             shown(message, category, *place)
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("always", ReadingWarning)
+            warnings.simplefilter("always", MvlaWarning)
             warnings.showwarning = show  # type: ignore[assignment]
             code = app(arguments, prog_name="mvla", standalone_mode=False)
     except TyperException as error:

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from mvla_sim.errors import ConfigError
+from mvla_sim.errors import ConfigError, MvlaWarning
 from mvla_sim.settings import read_toml
 from mvla_sim.shipped import find
 
@@ -18,7 +18,7 @@ _TAGS: Final = ("kind", "rule")
 """Keys that tell kinds apart; what belongs to another kind is no preset."""
 
 
-class ReadingWarning(UserWarning):
+class ReadingWarning(MvlaWarning):
     """A setting of a reading gives way to one that is set by hand."""
 
 

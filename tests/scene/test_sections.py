@@ -158,7 +158,7 @@ def test_a_plane_beside_the_mesh_is_refused_with_both_heights(height):
 def test_a_file_comes_back_scaled_turned_and_placed(tmp_path, suffix):
     star = moved(SHAPES[5], radius_m=4000.0, height_m=2000.0).mesh()
     file = write(star, tmp_path / f"star.{suffix}")
-    placed = MeshFile(file=str(file), scale=1e-3, rotation_deg=25.0, position_m=(1.0, 2.0, 0.5))
+    placed = MeshFile(file=str(file), up="z", scale=1e-3, rotation_deg=25.0, position_m=(1.0, 2.0, 0.5))
     mesh = placed.mesh()
     expected = moved(SHAPES[5], rotation_deg=25.0, position_m=(1.0, 2.0, 0.5)).mesh()
     assert mesh.is_watertight
