@@ -16,6 +16,7 @@ from mvla_sim.cli.measured_commands import measured_app
 from mvla_sim.cli.options import note, option_for, out
 from mvla_sim.cli.scene_commands import channel_app, scene_app
 from mvla_sim.cli.sweep_commands import sweep_app
+from mvla_sim.cluster.dask_settings import readable_configuration
 from mvla_sim.errors import MvlaError, MvlaWarning
 from mvla_sim.interrupt import INTERRUPTED
 
@@ -53,7 +54,8 @@ def run(arguments: list[str]) -> int:
         with warnings.catch_warnings():
             warnings.simplefilter("always", MvlaWarning)
             warnings.showwarning = show  # type: ignore[assignment]
-            code = app(arguments, prog_name="mvla", standalone_mode=False)
+            with readable_configuration():
+                code = app(arguments, prog_name="mvla", standalone_mode=False)
     except TyperException as error:
         note(f"error: {error.format_message()}")
         return 2

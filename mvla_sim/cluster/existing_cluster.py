@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
+import re
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
 import dask
-from distributed import Client
+import distributed
+from distributed import Client, Security, rpc
 
 from mvla_sim.cluster.dask_cluster import CLOSE_S, LOST, START_S, DaskCluster
 from mvla_sim.cluster.worker import VERSIONED, Context, program_digest
@@ -23,6 +27,9 @@ LEAST_IN_FLIGHT: Final = 12
 COUNT_S: Final = 5.0
 """How often the workers are counted."""
 CONNECT_S: Final = 10.0
+OLDEST: Final = (2026, 8)
+"""Dask that this package works with, which its dependencies say too."""
+ENCRYPTION: Final = "distributed.comm.require-encryption"
 
 
 class ExistingCluster(DaskCluster):
@@ -37,12 +44,24 @@ class ExistingCluster(DaskCluster):
 
     def _connect(self, stack: contextlib.ExitStack) -> Any:
         stack.enter_context(dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TiB"}))
+        if dask.config.get(ENCRYPTION, None) and not self._address.startswith(("tls://", "wss://")):
+            raise RuntimeUnfitError(
+                f"{self.name}: Dask's configuration on this machine has {ENCRYPTION} = true; give a tls:// address, or "
+                "take that setting out"
+            )
         try:
+            there = _version_there(self._address)
+            if tuple(map(int, re.findall(r"\d+", there)[:2])) < OLDEST:
+                here = distributed.__version__
+                raise RuntimeUnfitError(
+                    f"{self.name}: its Dask is {there}, this machine's {here}; install the same there"
+                )
             client = Client(self._address, timeout=CONNECT_S, set_as_default=False)
         except (*LOST, ValueError) as error:
             raise RuntimeUnfitError(f"{self.name}: no Dask scheduler answers there ({reason(error)})") from error
         stack.callback(_close_client, client)
-        if "dashboard" in client.scheduler_info(n_workers=0)["services"]:
+        services = client.scheduler_info(n_workers=0)["services"]
+        if "dashboard" in services:
             self._out(f"dashboard: {client.dashboard_link}")
         else:
             self._out(f"scheduler: {self._address}")
@@ -87,6 +106,20 @@ class ExistingCluster(DaskCluster):
                 self.count = max(1, len(self._client.nthreads()))
             self._counted = time.monotonic()
         return max(LEAST_IN_FLIGHT, super()._most_in_flight())
+
+
+def _version_there(address: str) -> str:
+    """Version of Dask on a scheduler, which those of any version tell, while a client of another may hang.
+
+    It is asked in a thread of its own, for in a notebook a loop runs already.
+    """
+
+    async def ask() -> str:
+        async with rpc(address, connection_args=Security().get_connection_args("client")) as scheduler:
+            return str((await scheduler.versions())["packages"]["distributed"])
+
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(lambda: asyncio.run(asyncio.wait_for(ask(), CONNECT_S))).result()
 
 
 def _close_client(client: Any) -> None:

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator, Mapping
 from multiprocessing import resource_tracker
 from typing import Any, Final
 
-import dask
 from distributed import Client, LocalCluster
 
 from mvla_sim.cluster.dask_cluster import CLOSE_S, LOST, START_S, DaskCluster
+from mvla_sim.cluster.dask_settings import only_these_settings
 from mvla_sim.cluster.worker import Context
 from mvla_sim.engine.machine import core_count, environment_kept
 from mvla_sim.errors import RuntimeUnfitError
@@ -45,7 +45,7 @@ class LocalProcesses(DaskCluster):
         self._began = 0.0
 
     def _connect(self, stack: contextlib.ExitStack) -> Any:
-        stack.enter_context(dask.config.set(CONFIGURATION))
+        stack.enter_context(only_these_settings(CONFIGURATION))
         stack.enter_context(environment_kept(*ALGEBRA, "PYTHONHASHSEED", "__DASK_PARENT_PID"))  # Dask sets them here
         shown = importlib.util.find_spec("bokeh") is not None
         with _interrupts_blocked():

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Final
 
+from mvla_sim.cluster.dask_settings import readable_configuration
 from mvla_sim.cluster.in_process import InProcess
 from mvla_sim.cluster.interface import Cluster
 from mvla_sim.engine.machine import core_count
@@ -35,7 +36,7 @@ def open_cluster(
     Raises
     ------
     ConfigError
-        Both are given, ``workers`` is negative, or the address is none.
+        Both are given, ``workers`` is negative, the address is none, or Dask cannot read a file of its own settings.
     """
     if scheduler is not None and workers is not None:
         raise ConfigError(f"workers = {workers} and scheduler = {scheduler}: give one of them", setting="scheduler")
@@ -45,7 +46,9 @@ def open_cluster(
         raise ConfigError(
             f"scheduler = {scheduler}: must be an address with a port, as tcp://10.0.0.1:8786", setting="scheduler"
         )
-    with contextlib.closing(_chosen(core_count() if workers is None else workers, scheduler, out)) as cluster:
+    with readable_configuration():
+        chosen = _chosen(core_count() if workers is None else workers, scheduler, out)
+    with contextlib.closing(chosen) as cluster:
         yield cluster
 
 

@@ -35,7 +35,13 @@ def cache_folder() -> Path:
         It cannot be made or written to.
     """
     named = os.environ.get(VARIABLE)
-    folder = Path(named).expanduser() if named else platformdirs.user_cache_path("mvla-sim")
+    try:
+        folder = Path(named).expanduser() if named else platformdirs.user_cache_path("mvla-sim")
+    except RuntimeError as error:  # no HOME, and no entry in the password file: as in some batch jobs
+        raise OutputError(
+            f"the cache folder is unknown, for user {os.getuid()} has no home folder (no HOME, no entry in the "
+            f"password file); set {VARIABLE} to a folder of yours"
+        ) from error
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

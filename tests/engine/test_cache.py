@@ -26,3 +26,19 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("MVLA_CACHE_DIR", str(tmp_path / "file"))
     with pytest.raises(OutputError, match="MVLA_CACHE_DIR"):
         cache_folder()
+
+
+def test_a_user_without_a_home_is_told_what_to_set(monkeypatch):
+    """As in a batch job without HOME whose user is not in the password file."""
+
+    def unknown(user):
+        raise KeyError(f"getpwuid(): uid not found: {user}")
+
+    for name in ("MVLA_CACHE_DIR", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    with pytest.raises(OutputError, match=r"has no home folder .*; set MVLA_CACHE_DIR to a folder of yours"):
+        cache_folder()
+    monkeypatch.setenv("MVLA_CACHE_DIR", "~/cache")
+    with pytest.raises(OutputError, match="has no home folder"):
+        cache_folder()

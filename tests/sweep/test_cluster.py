@@ -7,20 +7,24 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.metadata import requires
 from pathlib import Path
 from types import SimpleNamespace
 
 import cluster_tasks as tasks
+import dask
+import distributed
 import pandas as pd
 import psutil
 import pytest
-from distributed import Client
+from distributed import Client, LocalCluster
 from existing_cluster import Existing
 from sweep_files import experiment, keep_then, numbers
 
 from mvla_sim.cluster import dask_cluster as module
 from mvla_sim.cluster import worker as worker_module
 from mvla_sim.cluster.dask_cluster import IN_FLIGHT
+from mvla_sim.cluster.existing_cluster import OLDEST
 from mvla_sim.cluster.interface import TaskError, WorkerDiedError
 from mvla_sim.cluster.opening import open_cluster
 from mvla_sim.cluster.worker import fair_share
@@ -177,6 +181,81 @@ def test_bad_choices_are_one_line():
         pass
     with open_cluster(None, "nonsense://x:1") as cluster, pytest.raises(RuntimeUnfitError, match="no Dask scheduler"):
         cluster.start()
+
+
+SITE = """
+temporary-directory: /proc/scratch/dask
+scheduler-address: tcp://10.255.255.1:8786
+distributed:
+  comm:
+    require-encryption: true
+  worker:
+    preload: [no_such_module]
+"""
+
+
+def test_local_workers_do_not_depend_on_a_sites_configuration(tmp_path):
+    """Folders that cannot be made, encryption and modules to load are for the site's own clusters."""
+    (tmp_path / "site.yaml").write_text(SITE)
+    program = (
+        "from mvla_sim.cluster.opening import open_cluster\nimport cluster_tasks, dask\n"
+        "if __name__ == '__main__':\n"
+        "    assert dask.config.get('distributed.comm.require-encryption')\n"
+        "    with open_cluster(1) as cluster:\n"
+        "        print([done.value for _, done in cluster.run(cluster_tasks.divide, [(6, 2)], label='divide')])\n"
+        "    assert dask.config.get('temporary-directory') == '/proc/scratch/dask'\n"
+    )
+    (tmp_path / "program.py").write_text(program)
+    where = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    ran = subprocess.run(
+        [sys.executable, tmp_path / "program.py"], check=False, capture_output=True, text=True, timeout=100,
+        env=os.environ | {"DASK_CONFIG": str(tmp_path), "PYTHONPATH": where},
+    )  # fmt: skip
+    assert (ran.returncode, ran.stdout) == (0, "[3.0]\n"), ran.stderr
+
+
+def test_a_broken_configuration_is_one_line(tmp_path):
+    (tmp_path / "broken.yaml").write_text("distributed:\n  worker: [1,\n")
+    program = (
+        "from mvla_sim.cluster.opening import open_cluster\nfrom mvla_sim.errors import ConfigError\n"
+        "for choice in ((1,), (None, 'tcp://127.0.0.1:1')):\n"
+        "    try:\n        open_cluster(*choice).__enter__()\n"
+        "    except ConfigError as error:\n        print(error)\n"
+    )
+    env = os.environ | {"DASK_CONFIG": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    ran = subprocess.run(
+        [sys.executable, "-c", program], check=False, capture_output=True, text=True, env=env, timeout=100
+    )
+    lines = ran.stdout.splitlines()
+    assert len(lines) == 2, ran.stderr
+    assert all(f"Dask's configuration: '{tmp_path}/broken.yaml' is malformed" in line for line in lines)
+
+
+def test_encryption_that_a_site_asks_for_is_told():
+    with (
+        dask.config.set({"distributed.comm.require-encryption": True}),
+        open_cluster(None, "tcp://127.0.0.1:1") as cluster,
+        pytest.raises(RuntimeUnfitError, match=r"distributed\.comm\.require-encryption = true; give a tls://"),
+    ):
+        cluster.start()
+
+
+def test_a_scheduler_of_an_older_dask_is_told_with_both_versions(monkeypatch):
+    """A client of this one would ask it what it does not understand, for 40 s."""
+    assert any(text.startswith(f"distributed>={OLDEST[0]}.{OLDEST[1]}") for text in requires("mvla-sim"))
+
+    async def versions(packages=None):
+        return {"host": {}, "packages": {"distributed": "2024.8.0"}}
+
+    with LocalCluster(n_workers=0, dashboard_address=None, processes=False, host="127.0.0.1", protocol="tcp") as local:
+        monkeypatch.setitem(local.scheduler.handlers, "versions", versions)
+        with (
+            open_cluster(None, local.scheduler_address) as cluster,
+            pytest.raises(
+                RuntimeUnfitError, match=rf"is 2024\.8\.0, this machine's {distributed.__version__}; install"
+            ),
+        ):
+            cluster.start()
 
 
 def test_a_shared_cache_spares_tracing(tmp_path, monkeypatch):
