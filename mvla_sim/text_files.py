@@ -22,11 +22,12 @@ _MARKS: Final = (
 _LINE_END: Final = re.compile(r"\r\n|\n|\r")
 
 
-def read_text(file: str | os.PathLike[str]) -> str:
+def read_text(file: str | os.PathLike[str], most_bytes: int = -1) -> str:
     """Read a text file: UTF-8, UTF-16 or UTF-32 by its byte order mark, else UTF-8, else an 8-bit code of Windows.
 
     UTF-16 without a mark is known by its zeros: in a text of numbers every second byte is one. What an 8-bit byte
-    stands for beyond ASCII is a guess (Windows-1252), which numbers never depend on.
+    stands for beyond ASCII is a guess (Windows-1252), which numbers never depend on. Of a long file ``most_bytes`` may
+    be enough.
 
     Raises
     ------
@@ -34,7 +35,8 @@ def read_text(file: str | os.PathLike[str]) -> str:
         It is marked as an encoding that it is not in.
     """
     path = Path(file)
-    raw = path.read_bytes()
+    with path.open("rb") as stream:
+        raw = stream.read(most_bytes)
     for mark, encoding in _MARKS:
         if raw.startswith(mark):
             try:

@@ -16,9 +16,9 @@ import mvla_sim
 
 ROOT = Path(mvla_sim.__file__).parent
 FLOW = (
-    "constants", "errors", "interrupt", "progress", "memory", "streams", "files", "text_files", "netcdf", "ragged",
-    "shipped", "settings", "kinds", "distributions", "dsp", "grid", "engine", "cluster", "scene", "channel", "imaging",
-    "evaluation", "sweep", "dataset", "plot", "pictures", "measured", "listing", "bench", "paper", "cli",
+    "constants", "errors", "interrupt", "progress", "memory", "streams", "files", "text_files", "spreadsheet", "netcdf",
+    "ragged", "shipped", "settings", "kinds", "distributions", "dsp", "grid", "engine", "cluster", "scene", "channel",
+    "imaging", "evaluation", "sweep", "dataset", "plot", "pictures", "measured", "listing", "bench", "paper", "cli",
 )  # fmt: skip
 """Every part of the package, each of which may import those before it: what all use, the stages, their users."""
 MODULES = sorted(ROOT.rglob("*.py"))

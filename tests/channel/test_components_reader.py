@@ -168,6 +168,84 @@ def test_what_is_wrong_is_named_with_line_and_column(file, old, new, message):
     assert message in refused(file, FULL.replace(old, new, 1))
 
 
+TABLE = "view,angle_deg,delay_ns,power_db\n0,0.5,20.25,-60.5\n1,30.0,20.125,-61.5\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        TABLE.replace(",", ";"),
+        TABLE.replace(",", ";").replace(".", ","),
+        TABLE.replace(",", "\t"),
+        TABLE.replace(",", "\t").replace(".", ","),
+        TABLE.replace(",", " "),
+        TABLE.replace(",", "   ").replace("\n", "\n  "),
+        TABLE.replace(",", "|"),
+        "sep=;\r\n" + TABLE.replace(",", ";").replace("\n", "\r\n"),
+        '"sep=,"\n' + TABLE,
+        "sep=\t\n" + TABLE.replace(",", "\t"),
+        TABLE.replace("\n", ",,\n") + ",,,,,\n",
+        TABLE.replace("\n", ",\n", 1),
+        "# exported, by a peak finder\n\n" + TABLE,
+        "% one\n! two\n" + TABLE.replace("\n1,", "\n# between\n1,"),
+        "# " + TABLE,
+        "peak finder 3.1\nThe view, the power_db\n\n" + TABLE,
+        TABLE.replace("view,angle_deg,delay_ns,power_db", "View,ANGLE_deg,Delay (ns), Power [dB]"),
+        TABLE.replace("\n", ",ok,7\n").replace("ok,7", "flag,snr", 1),
+        TABLE.replace("\n", ",ok\n").replace("view", ",view").replace("\n0", "\n0,0").replace("\n1", "\n1,1"),
+        TABLE.replace("-", "\u2212"),
+        TABLE.replace("\n", "\r"),
+        'view,angle_deg,delay_ns,power_db\n0,"0,5","20,25","-60,5"\n1,30,"20,125","-61,5"\n',
+        '"view";"angle_deg";"delay_ns";"power_db"\n"0";"0,5";"20,25";"-60,5"\n"1";"30,0";"20,125";"-61,5"\n',
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-8-sig"])
+def test_tables_as_spreadsheets_write_them(file, text, encoding):
+    table = parsed(file, text.encode(encoding))
+    wanted = parsed(file, TABLE)
+    np.testing.assert_array_equal(table.range_m, wanted.range_m)
+    np.testing.assert_array_equal(table.power, wanted.power)
+    np.testing.assert_array_equal(table.angles_deg, [0.5, 30])
+
+
+def test_columns_that_are_not_needed_are_noted(file, caplog):
+    parsed(file, TABLE.replace("\n", ",7,x\n").replace("7,x", "snr,Flag", 1))
+    [note] = [record.getMessage() for record in caplog.records]
+    assert note.endswith("columns that are not read: 'snr', 'Flag'")
+
+
+@pytest.mark.parametrize(
+    "name", ["angel_deg", "angle", "Angle", "delay_us", "X", "z", "heading_deg", "azimuth_deg", "rxx_m"]
+)
+def test_a_column_that_may_be_meant_for_one_of_ours_is_not_passed_over(file, name):
+    text = f"view,range_m,power,{name}\n0,1,1,1\n"
+    assert f"line 1: unknown column '{name}'; allowed: view" in refused(file, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("view;range_m;power\n0;1,5;2\n0;1.234,5;2\n", "line 2, column range_m: '1,5' is not a number: it has a comma"),
+        ("view;range_m;power\n0;1.5;2\n0;1,234;2\n", "line 3, column range_m: '1,234' is not a number: it has a comma"),
+        ("view,range_m,power\n0,1,5,2\n", "line 2: has 4 values, decimal commas included; the header has 3 columns"),
+        ("view;range_m;power\n0;1_0;2\n", "line 2, column range_m: '1_0' is not a number"),
+        ("view;range_m;power\n0;1.5 m;2\n", "line 2, column range_m: '1.5 m' is not a number"),
+        ("# made by hand\n\nview;range_m\n0;1\n", "line 3: has none of power, power_db; give exactly one"),
+    ],
+)
+def test_numbers_of_two_marks_and_other_text_are_refused(file, text, message):
+    assert message in refused(file, text)
+
+
+def test_a_comma_that_may_set_thousands_apart_is_noted(file, caplog):
+    assert parsed(file, "view;range_m;power\n0;20,125;2\n1;3;2\n").range_m.tolist() == [20.125, 3]
+    [note] = [record.getMessage() for record in caplog.records]
+    assert note.endswith("'20,125' is read with a decimal comma, as 20.125")
+    caplog.clear()
+    parsed(file, "view;range_m;power\n0;20,125;2\n1;3,5;2\n")
+    assert not caplog.records
+
+
 @pytest.mark.parametrize("power", ["0", "-1", "1e31"])
 def test_powers_are_above_0(file, power):
     assert f"line 3, column power: {float(power):g} must be above 0" in refused(
@@ -194,7 +272,8 @@ def test_no_file_and_no_content(tmp_path, file):
     with pytest.raises(DataError, match="is empty"):
         read_components(file)
     assert "has a header and no components" in refused(file, "view,range_m,power\n\n")
-    assert "is not a CSV text file" in refused(file, b"\xff\xfe" * 10)
+    assert "is not a CSV text file: it holds zero bytes" in refused(file, b"PK\x03\x04\x00\x00" + PLAIN.encode())
+    assert "unknown column" in refused(file, b"\xff\xfe" * 10)
 
 
 def test_a_file_beyond_the_memory_is_refused_before_it_is_read(file, monkeypatch):

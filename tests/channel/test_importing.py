@@ -15,7 +15,7 @@ from mvla_sim.channel.readers.touchstone_files import write_touchstone
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.errors import ConfigError, DataError
 
-OWN = ["arrays", "components", "deepmimo", "insite", "touchstone"]
+OWN = ["arrays", "components", "deepmimo", "insite", "responses", "touchstone"]
 
 
 @pytest.fixture

@@ -217,7 +217,7 @@ def test_pattern_that_was_sampled_from_a_horn_is_that_horn(tmp_path):
         ("angle_deg,azimuth_db\n-5,-1\n185,0\n", "from -5 to 185; allowed: -180 to 180 degrees"),
         ("angle_deg,azimuth_db\n0,-1\n359,0\n", "from 0 to 359; allowed: -180 to 180"),
         ("angle_deg,azimuth_db\n10,-1\n20,0\n", "from 10 to 20; 0 must lie between"),
-        (b"\xff\xfe", "not a CSV text file"),
+        (b"PK\x00\x00\xff", "not a CSV text file"),
     ],
 )
 def test_bad_pattern_files_are_refused_in_one_line_with_their_name(tmp_path, content, says):

@@ -123,9 +123,9 @@ def _check_finite(angles_deg: Sequence[float], files: Sequence[Path]) -> None:
 
 
 def _listed_angles(angle_file: str, files: Sequence[Path]) -> list[float]:
-    numbers, words = read_columns(angle_file, "angles file", ("angle_deg",), texts=("file",))
-    names = words["file"]
-    known = dict(zip(names, numbers["angle_deg"].tolist(), strict=True))
+    table = read_columns(angle_file, "angles file", ("angle_deg",), texts=("file",))
+    names = table.words["file"]
+    known = dict(zip(names, table.numbers["angle_deg"].tolist(), strict=True))
     if len(known) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise DataError(f"{angle_file}: lists file '{twice}' twice")

@@ -1,5 +1,7 @@
 """Reader of ready-made multipath components: a CSV file with a header and one component a row, in any order.
 
+Separators, decimal commas, comments and encodings are those of :mod:`~mvla_sim.spreadsheet`.
+
 ==========================================  ========================================================================
 column                                      what it holds
 ==========================================  ========================================================================
@@ -15,7 +17,6 @@ one of ``power``, ``power_db``              power, linear or in dB
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,14 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.channel.components import Components
+from mvla_sim.channel.readers.frequency_columns import has_frequencies, is_table
 from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader
 from mvla_sim.constants import delay_to_range
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import existing_file
 from mvla_sim.memory import check_memory
-from mvla_sim.scene.columns import PLACE, RECEIVER, Columns, read_columns
+from mvla_sim.scene.columns import PLACE, RECEIVER, Columns, ColumnTable, read_columns
 
-__all__ = ["ComponentReader", "read_components"]
+__all__ = ["PER_VIEW", "ComponentReader", "columns_of_views", "only_one", "points_of_views", "read_components"]
 
 LARGEST_VIEW: Final = 999_999
 LONGEST_DELAY_S: Final = 1.0
@@ -49,7 +51,7 @@ _POWERS: Final[dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]]] 
     "power": lambda power: power,
     "power_db": lambda power_db: 10 ** (power_db / 10),
 }
-_PER_VIEW: Final = ("angle_deg", *PLACE, *RECEIVER)
+PER_VIEW: Final = ("angle_deg", *PLACE, *RECEIVER)
 _MEMORY_A_BYTE: Final = 30  # of the text, whose words take some 50 bytes each while they are read
 
 
@@ -62,8 +64,8 @@ class ComponentReader(Reader):
 
     @classmethod
     def recognises(cls, source: Path) -> bool:
-        """Whether it is a .csv file."""
-        return source.suffix.lower() == ".csv"
+        """Whether it is a .csv, .tsv or .txt file, and none of frequency responses."""
+        return is_table(source) and not has_frequencies(source)
 
     def read(self, source: Path, radio: GivenRadio) -> Foreign:
         """Read the table."""
@@ -96,56 +98,60 @@ def read_components(file: str | os.PathLike[str]) -> Foreign:
     path = existing_file(file, "components file")
     try:
         check_memory(path.stat().st_size * _MEMORY_A_BYTE, f"{path}: its numbers", "split the file")
-        numbers, _ = read_columns(path, "components file", ("view",), (*_DISTANCES, *_POWERS, *_PER_VIEW))
+        table = read_columns(path, "components file", ("view",), (*_DISTANCES, *_POWERS, *PER_VIEW))
     except (ConfigError, DataError) as error:
         raise DataError(" ".join(str(error).splitlines())) from error
     except OSError as error:
         raise DataError(f"{path}: not readable ({error.strerror})") from error
-    view = _views(path, numbers)
-    distance = _only_one(path, numbers, tuple(_DISTANCES))
-    level = _only_one(path, numbers, tuple(_POWERS))
+    view = _views(path, table)
+    distance = only_one(path, table, tuple(_DISTANCES))
+    level = only_one(path, table, tuple(_POWERS))
     with np.errstate(all="ignore"):
-        range_m, power = _DISTANCES[distance](numbers[distance]), _POWERS[level](numbers[level])
+        range_m, power = _DISTANCES[distance](table.numbers[distance]), _POWERS[level](table.numbers[level])
     farthest_m = delay_to_range(LONGEST_DELAY_S)
-    _check(path, numbers, distance, (range_m >= 0) & (range_m <= farthest_m), f"0 to {farthest_m:.4g} m of range")
+    _check(path, table, distance, (range_m >= 0) & (range_m <= farthest_m), f"0 to {farthest_m:.4g} m of range")
     most = 10 ** (LARGEST_LEVEL_DB / 10)
     usual = (power >= 1 / most) & (power <= most)
-    _check(path, numbers, level, usual, f"above 0, {1 / most:g} to {most:g} or ±{LARGEST_LEVEL_DB:g} dB")
+    _check(path, table, level, usual, f"above 0, {1 / most:g} to {most:g} or ±{LARGEST_LEVEL_DB:g} dB")
     row_size = np.bincount(view).astype(np.int64)
-    fixed = _fixed(path, numbers, view, row_size)
+    fixed = columns_of_views(path, table, view, row_size)
     order = np.lexsort((range_m, view))
-    positions_m = _points(fixed, PLACE, np.zeros(row_size.size))
-    receivers_m = None if positions_m is None else _points(fixed, RECEIVER, positions_m[:, 2])
+    positions_m = points_of_views(fixed, PLACE, np.zeros(row_size.size))
+    receivers_m = None if positions_m is None else points_of_views(fixed, RECEIVER, positions_m[:, 2])
     data = {"range_m": range_m[order], "power": power[order], "row_size": row_size}
     return Foreign(Components, data, row_size.size, fixed.get("angle_deg"), positions_m, receivers_m)
 
 
-def _only_one(path: Path, numbers: Columns, names: Sequence[str]) -> str:
-    found = [name for name in names if name in numbers]
+def only_one(path: Path, table: ColumnTable, names: Sequence[str]) -> str:
+    """Name of the one of these columns that the file has; raises DataError where it has none or several."""
+    found = [name for name in names if name in table.numbers]
     if len(found) != 1:
-        raise DataError(f"{path}: line 1: has {' and '.join(found) or 'none'} of {', '.join(names)}; give exactly one")
+        told = f"has {' and '.join(found) or 'none'} of {', '.join(names)}"
+        raise DataError(f"{path}: line {table.header_line}: {told}; give exactly one")
     return found[0]
 
 
-def _views(path: Path, numbers: Columns) -> NDArray[np.int64]:
+def _views(path: Path, table: ColumnTable) -> NDArray[np.int64]:
     """Views of the rows ``[n_row]``."""
-    value = numbers["view"]
+    value = table.numbers["view"]
     whole = (value >= 0) & (value <= LARGEST_VIEW) & (value == np.floor(value))
-    _check(path, numbers, "view", whole, f"a whole number from 0 to {LARGEST_VIEW}")
+    _check(path, table, "view", whole, f"a whole number from 0 to {LARGEST_VIEW}")
     return value.astype(np.int64)
 
 
-def _fixed(path: Path, numbers: Columns, view: NDArray[np.int64], row_size: NDArray[np.int64]) -> Columns:
-    """What the file says of its views: columns ``[n_view]``."""
-    names = [name for name in _PER_VIEW if name in numbers]
+def columns_of_views(path: Path, table: ColumnTable, view: NDArray[np.int64], row_size: NDArray[np.int64]) -> Columns:
+    """What the file says of its views: columns ``[n_view]``, each the same in all rows of a view.
+
+    ``view`` ``[n_row]`` are numbers from 0, ``row_size`` ``[n_view]`` how often each occurs.
+    """
+    header = f"{path}: line {table.header_line}"
+    names = [name for name in PER_VIEW if name in table.numbers]
     for kind, partners in (("positions", PLACE), ("receivers", RECEIVER)):
         lacking = [name for name in partners[:2] if name not in names]
         if lacking and any(name in names for name in partners):
-            raise DataError(
-                f"{path}: line 1: missing column '{lacking[0]}'; {kind} need {partners[0]} and {partners[1]}"
-            )
+            raise DataError(f"{header}: missing column '{lacking[0]}'; {kind} need {partners[0]} and {partners[1]}")
     if RECEIVER[0] in names and PLACE[0] not in names:
-        raise DataError(f"{path}: line 1: missing column '{PLACE[0]}'; receivers need the positions of transmitters")
+        raise DataError(f"{header}: missing column '{PLACE[0]}'; receivers need the positions of transmitters")
     if names and not row_size.all():
         raise DataError(
             f"{path}: view {row_size.argmin()} of 0 to {row_size.size - 1} has no row, so its {names[0]} is unknown"
@@ -153,37 +159,30 @@ def _fixed(path: Path, numbers: Columns, view: NDArray[np.int64], row_size: NDAr
     first = np.unique(view, return_index=True)[1]
     fixed = {}
     for name in names:
-        fixed[name] = numbers[name][first]
+        fixed[name] = table.numbers[name][first]
         if name != "angle_deg":
-            _check(path, numbers, name, np.abs(numbers[name]) <= LARGEST_COORDINATE_M, f"±{LARGEST_COORDINATE_M:g} m")
-        same = numbers[name] == fixed[name][view]
+            _check(
+                path, table, name, np.abs(table.numbers[name]) <= LARGEST_COORDINATE_M, f"±{LARGEST_COORDINATE_M:g} m"
+            )
+        same = table.numbers[name] == fixed[name][view]
         if not same.all():
             row = int(same.argmin())
             raise DataError(
-                f"{path}: line {_line(path, row)}, column {name}: {numbers[name][row]:.10g} differs from "
+                f"{path}: line {table.lines[row]}, column {name}: {table.numbers[name][row]:.10g} differs from "
                 f"{fixed[name][view[row]]:.10g} in an earlier row of view {view[row]}"
             )
     return fixed
 
 
-def _points(fixed: Columns, names: Sequence[str], height_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def points_of_views(fixed: Columns, names: Sequence[str], height_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Points ``[n_view, 3]`` of three columns, the third of which may be missing; None where all are."""
     x, y, z = names
     return np.column_stack([fixed[x], fixed[y], fixed.get(z, height_m)]) if x in fixed else None
 
 
-def _check(path: Path, numbers: Columns, column: str, good: NDArray[np.bool_], allowed: str) -> None:
+def _check(path: Path, table: ColumnTable, column: str, good: NDArray[np.bool_], allowed: str) -> None:
     if not good.all():
         row = int(good.argmin())
         raise DataError(
-            f"{path}: line {_line(path, row)}, column {column}: {numbers[column][row]:.10g} must be {allowed}"
+            f"{path}: line {table.lines[row]}, column {column}: {table.numbers[column][row]:.10g} must be {allowed}"
         )
-
-
-def _line(path: Path, row: int) -> int:
-    """Line of the file that a row of numbers is in."""
-    with path.open(encoding="utf-8-sig", newline="") as stream:
-        reader = csv.reader(stream, strict=True)
-        next(reader)
-        lines = (reader.line_num for cells in reader if cells)
-        return next(line for n, line in enumerate(lines) if n == row)

@@ -41,7 +41,7 @@ class PatternFile(Antenna):
 
 def _read_cuts(name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Cuts of a pattern file relative to their peak; without an elevation cut the azimuth one serves for both."""
-    numbers, _ = read_columns(name, "antenna pattern file", ("angle_deg", "azimuth_db"), ("elevation_db",))
+    numbers = read_columns(name, "antenna pattern file", ("angle_deg", "azimuth_db"), ("elevation_db",)).numbers
     angles = numbers["angle_deg"]
     order = np.argsort(angles)
     angles = angles[order]

@@ -42,7 +42,7 @@ class Poses(Trajectory):
         place = f"{key}.poses"
         if self.file is not None:
             place = f"{key}.file = {self.file}"
-            numbers, _ = read_columns(self.file, "poses file", ("x_m", "y_m", "heading_deg"))
+            numbers = read_columns(self.file, "poses file", ("x_m", "y_m", "heading_deg")).numbers
             poses = np.column_stack([numbers["x_m"], numbers["y_m"], numbers["heading_deg"]])
         else:
             poses = np.asarray(self.poses, np.float64)

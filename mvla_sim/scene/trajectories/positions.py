@@ -55,7 +55,7 @@ def read_positions(file: str) -> Columns:
         The file cannot be used; the message names file, line and column.
     """
     more = (PLACE[2], *RECEIVER, "azimuth_deg", "elevation_deg")
-    return read_columns(file, "positions file", PLACE[:2], more)[0]
+    return read_columns(file, "positions file", PLACE[:2], more).numbers
 
 
 def views_of_columns(
