@@ -25,6 +25,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from mvla_sim.channel.header import Channel
+from mvla_sim.channel.overview import check_swept
 from mvla_sim.channel.readers.angles import closing_view
 from mvla_sim.channel.readers.arrays import ArrayReader
 from mvla_sim.channel.readers.nearby import is_deepmimo_3
@@ -211,6 +212,8 @@ def import_channel(settings: ImportSettings) -> Channel:
     check_argument("settings", settings, ImportSettings, "see import_settings")
     kind = settings.kind or source_kind(settings.source)
     found = settings.reader(kind).read(Path(settings.source), GivenRadio(settings.carrier_hz, settings.bandwidth_hz))
+    if found.kind is FrequencyResponse:
+        check_swept(found.data["response"], settings.source)
     settings.antenna.pattern()  # read now: the channel holds it, though its file may go
     radio = {} if found.kind is FrequencyResponse else _radio(settings, found.carrier_hz)
     config = settings.model_dump(mode="json")

@@ -38,6 +38,7 @@ def import_data(
 ) -> None:
     """Read measured data, or another program's paths, into a channel file (NetCDF-4) that mvla image takes."""
     from mvla_sim.channel.importing import import_channel, import_settings
+    from mvla_sim.channel.overview import overview
 
     check_output(output, ".nc")
     if source.suffix.lower() == ".toml" and settings is None:
@@ -47,6 +48,8 @@ def import_data(
     channel = import_channel(chosen)
     channel.save(output)
     say(f"{output}: {channel.summary}")
+    for line in overview(channel):
+        say(line)
     for key in ("source.background", "source.calibration"):
         if key in channel.provenance:
             say(f"{key.removeprefix('source.')}: {channel.provenance[key]}")

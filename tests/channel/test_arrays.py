@@ -189,10 +189,18 @@ def test_no_file_no_content_no_such_format(tmp_path):
     assert "unknown suffix '.csv'; allowed: .mat, .npz, .h5, .hdf5, .nc" in refused(tmp_path / "a.csv")
 
 
-def test_classic_netcdf_is_refused_with_what_mends_it(tmp_path):
+def test_classic_netcdf_is_read(tmp_path):
     file = tmp_path / "a.nc"
-    xr.Dataset({"x": ("i", [1.0, 2.0])}).to_netcdf(file, engine="scipy")
-    assert "is classic NetCDF-3, which is not read; convert it with nccopy -k nc4" in refused(file)
+    parts_of = {"re": (("view", "f"), RESPONSE.real), "im": (("view", "f"), RESPONSE.imag), "f": ("f", FREQUENCY)}
+    xr.Dataset(parts_of).to_netcdf(file, engine="scipy")
+    data = read(file, data="re", data_imag="im")
+    np.testing.assert_array_equal(data.values, RESPONSE)
+    np.testing.assert_array_equal(data.axis, FREQUENCY)
+    square = {"re": (("f", "view"), RESPONSE.real[:, :4]), "im": (("f", "view"), RESPONSE.imag[:, :4])}
+    xr.Dataset(square | {"f": FREQUENCY[:4]}).to_netcdf(file, engine="scipy")
+    np.testing.assert_array_equal(read(file, data="re", data_imag="im").values, RESPONSE[:, :4].T)
+    (tmp_path / "b.nc").write_bytes(b"CDF\x05" + bytes(100))
+    assert "is no NetCDF file" in refused(tmp_path / "b.nc")
 
 
 # --------------------------------------------------------------------------------------- what is special in a format
@@ -204,15 +212,120 @@ def test_structs_of_matlab(tmp_path):
     write_mat(tmp_path / "a.mat", {"s": nested, "many": many, "cells": np.array([[1, "x"]], object), "on": np.True_})
     source = read_array_file(tmp_path / "a.mat")
     np.testing.assert_array_equal(source.get("s.f"), FREQUENCY)
-    told = {name: entry.refusal for name, entry in source.entries.items()}
-    assert told == {
-        "s.f": None, "s.note": "text", "s.deep": told["s.deep"], "many": "an array of structs",
-        "cells": "of class cell", "on": "of class logical",
+    np.testing.assert_array_equal(source.get("s.deep.x"), 1)
+    np.testing.assert_array_equal(source.get("many.x"), [1, 2])
+    assert {name: entry.refusal for name, entry in source.entries.items()} == {
+        "s.f": None, "s.note": "text", "s.deep.x": None, "many.x": None,
+        "cells": "a cell array whose cells are text", "on": "of class logical",
     }  # fmt: skip
-    assert told["s.deep"].startswith("of type")
     write_mat73(tmp_path / "b.mat", {"s.f": FREQUENCY, "s.h": RESPONSE})
     data = read(tmp_path / "b.mat", data="s.h", axis="s.f")
     np.testing.assert_array_equal(data.values, RESPONSE)
+
+
+def matlab_object(name, kind):
+    """An object of MATLAB, as a string or a table, in a file of version 5: its names and no lengths."""
+    texts = b"".join(
+        np.array([1, len(text)], np.uint32).tobytes() + text.ljust(-(-len(text) // 8) * 8, b"\0")
+        for text in (name.encode(), b"MCOS", kind.encode())
+    )
+    head = np.array([6, 8, 17, 0], np.uint32).tobytes() + texts
+    return np.array([14, len(head)], np.uint32).tobytes() + head
+
+
+def test_objects_of_matlab_beside_arrays(tmp_path):
+    file = tmp_path / "a.mat"
+    write_mat(file, {"f": FREQUENCY})
+    start = file.read_bytes()
+    write_mat(file, {"h": RESPONSE}, do_compression=True)
+    objects = [matlab_object("note", "string"), matlab_object("when", "datetime")]
+    packed = zlib.compress(objects[1])
+    objects[1] = np.array([15, len(packed)], np.uint32).tobytes() + packed
+    file.write_bytes(start + b"".join(objects) + file.read_bytes()[128:])
+    data = read(file)
+    np.testing.assert_array_equal(data.values, RESPONSE)
+    np.testing.assert_array_equal(data.axis, FREQUENCY)
+    for name, kind in (("note", "string"), ("when", "datetime")):
+        message = f"variable '{name}' is of class {kind}, which only MATLAB can take apart; save its numbers as plain"
+        assert message in refused(file, data=name)
+
+
+def cells(parts):
+    """A MATLAB cell array, a part a row."""
+    array = np.empty((len(parts), 1), object)
+    for i, part in enumerate(parts):
+        array[i, 0] = part
+    return array
+
+
+def write_cells73(file, name, parts):
+    """A cell array, or a field of an array of structs, in a file of MATLAB 7.3: references."""
+    with h5py.File(file, "a") as handle:
+        kind = np.bytes_("double")
+        made = [handle.create_dataset(f"#refs#/{name}{i}", data=compound(p[None]) if p.dtype.kind == "c" else p[None])
+                for i, p in enumerate(parts)]  # fmt: skip
+        for dataset in made:
+            dataset.attrs["MATLAB_class"] = kind
+        table = handle.create_dataset(name.replace(".", "/"), (1, len(made)), h5py.ref_dtype)
+        table[0] = [dataset.ref for dataset in made]
+        if "." not in name:
+            table.attrs["MATLAB_class"] = np.bytes_("cell")
+
+
+@pytest.mark.parametrize("points", [N_AXIS, N_VIEW])
+def test_a_cell_array_with_a_sweep_a_view(tmp_path, points):
+    """Also of as many views as frequencies: the cells are the views."""
+    rows, axis = [row[:points] for row in RESPONSE], FREQUENCY[:points]
+    write_mat(
+        tmp_path / "a.mat", {"h": cells([row[:, None] for row in rows]), "f": axis, "odd": cells(RESPONSE[0, :2])}
+    )
+    write_mat73(tmp_path / "b.mat", {"f": axis})
+    write_cells73(tmp_path / "b.mat", "h", rows)
+    write_cells73(tmp_path / "b.mat", "odd", [axis, axis[1:]])
+    write_cells73(tmp_path / "b.mat", "s.h", rows)
+    structs = np.zeros((1, N_VIEW), [("h", object)])
+    for i, row in enumerate(rows):
+        structs[0, i]["h"] = row
+    write_mat(tmp_path / "c.mat", {"s": structs, "f": axis})
+    for file, name in (("a.mat", "h"), ("b.mat", "h"), ("b.mat", "s.h"), ("c.mat", "s.h")):
+        np.testing.assert_array_equal(read(tmp_path / file, data=name).values, RESPONSE[:, :points])
+    assert "'odd' is a cell array whose cells have different lengths" in refused(tmp_path / "b.mat", data="odd")
+
+
+def test_a_filter_that_is_not_there_is_named(tmp_path):
+    file = tmp_path / "a.h5"
+    write_hdf5(file, {"f": FREQUENCY})
+    with h5py.File(file, "a") as handle:
+        made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        made.set_chunk(RESPONSE.shape)
+        made.set_filter(32001, h5py.h5z.FLAG_OPTIONAL, ())
+        space = h5py.h5s.create_simple(RESPONSE.shape)
+        h5py.h5d.create(handle.id, b"h", h5py.h5t.py_create(RESPONSE.dtype), space, made)
+    message = (
+        "'h' is packed by HDF5's filter 32001 (Blosc), which is not installed; pip install hdf5plugin, or write it"
+    )
+    assert message in refused(file)
+
+
+def test_channels_have_names(tmp_path):
+    words = ["HH", "HV", "VV"]
+    files = {"a.npz": words, "a.mat": cells(words), "b.mat": np.array(words), "a.h5": words, "a.nc": words}
+    for name, texts in files.items():
+        WRITERS.get(name, write_mat)(tmp_path / name, {"h": FOUR, "f": FREQUENCY, "phi": ANGLES, "pol": texts})
+        np.testing.assert_array_equal(read(tmp_path / name, angles="phi", channel="HV").values, 2 * RESPONSE)
+        told = "of 3 (HH, HV, VV), such as polarisations; choose one with arrays.channel = 0 to 2, or by its name"
+        assert told in refused(tmp_path / name, angles="phi")
+
+
+def test_names_of_axes_tell_the_view(tmp_path):
+    file = tmp_path / "a.nc"
+    square = RESPONSE[:, :N_VIEW]
+    for dims, wanted in ((("view", "f"), square), (("f", "view"), square.T)):
+        data = {"h": (dims, square), "f": ("f", FREQUENCY[:N_VIEW]), "phi": ("view", ANGLES)}
+        with warnings.catch_warnings(action="ignore"):
+            xr.Dataset(data).to_netcdf(file, engine="h5netcdf", invalid_netcdf=True)
+        np.testing.assert_array_equal(read(file).values, wanted)
+        np.testing.assert_array_equal(read(file, angles="phi").values, wanted)
 
 
 def test_what_is_no_number_in_hdf5_of_matlab(tmp_path):
@@ -232,9 +345,9 @@ def test_what_is_no_number_in_hdf5_of_matlab(tmp_path):
 
 def test_integers_and_single_precision_of_matlab(tmp_path):
     write_mat(tmp_path / "a.mat", {"h": RESPONSE.astype(np.complex64), "f": np.arange(N_AXIS, dtype=np.uint8)})
-    data = read(tmp_path / "a.mat")
+    data = read(tmp_path / "a.mat", axis_unit=1e9)
     np.testing.assert_array_equal(data.values, RESPONSE.astype(np.complex64))
-    np.testing.assert_array_equal(data.axis, np.arange(N_AXIS))
+    np.testing.assert_array_equal(data.axis, np.arange(N_AXIS) * 1e9)
 
 
 def test_complex_integers_of_matlab(tmp_path):
@@ -422,7 +535,7 @@ def test_a_hang_is_an_error_of_the_file(tmp_path, monkeypatch):
     monkeypatch.setattr(array_files, "_PATIENCE_S", 0.0)
     monkeypatch.setattr(array_files, "_CHILD", "import time; time.sleep(60)")
     start = time.perf_counter()
-    assert "a.mat: is not read within 1 s" in refused(tmp_path / "a.mat")
+    assert "a.mat: is not read within 4 s" in refused(tmp_path / "a.mat")
     assert time.perf_counter() - start < 10
 
 
@@ -446,10 +559,70 @@ def test_a_response_is_turned_to_the_lengths_of_the_others(npz):
 
 
 @pytest.mark.parametrize("angles", [None, "phi"])
-def test_a_square_response_has_its_views_first(npz, angles):
+def test_the_views_of_a_square_response_must_be_told(npz, angles):
     square = RESPONSE[:, :N_VIEW]
     file = npz(h=square, f=FREQUENCY[:N_VIEW])
-    np.testing.assert_array_equal(read(file, angles=angles).values, square)
+    told = "has shape (4, 4), whose lengths do not tell which axis is the view; set arrays.view_axis = 0 (a row a view)"
+    assert told + " or 1 (a column a view)" in refused(file, angles=angles)
+    np.testing.assert_array_equal(read(file, angles=angles, view_axis=0).values, square)
+    np.testing.assert_array_equal(read(file, angles=angles, view_axis=1).values, square.T)
+    assert "arrays.view_axis = 1 does not fit" in refused(npz(), view_axis=1)
+
+
+FOUR = RESPONSE[..., None] * np.array([1, 2, 3])  # [view, axis, channel]
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 0, 1), (2, 1, 0), (0, 2, 1), (1, 2, 0)])
+def test_one_of_several_channels_is_chosen(npz, order):
+    file = npz(h=FOUR.transpose(order))
+    np.testing.assert_array_equal(read(file, angles="phi", channel=2).values, 3 * RESPONSE)
+    np.testing.assert_array_equal(read(file, channel=0, view_axis=order.index(0)).values, RESPONSE)
+    message = refused(file, angles="phi")
+    assert "has one more axis, of 3, such as polarisations; choose one with arrays.channel = 0 to 2" in message
+    with pytest.raises(ConfigError, match=r"arrays\.channel = 3: allowed: 0 to 2 of .*'h'"):
+        read(file, angles="phi", channel=3)
+    with pytest.raises(ConfigError, match=r"arrays\.channel = 'HH': .*give one of its names, if the file lists them"):
+        read(file, angles="phi", channel="HH")
+
+
+def test_a_channel_of_a_table_is_none(npz):
+    with pytest.raises(ConfigError, match=r"arrays\.channel = 0: .*'h' has no third axis, only shape \(4, 6\)"):
+        read(npz(), channel=0)
+
+
+def test_one_view_of_several_channels(npz):
+    file = npz(h=FOUR[0], phi=7.0)
+    np.testing.assert_array_equal(read(file, angles="phi", channel=1).values, 2 * RESPONSE[:1])
+
+
+def parts(values):
+    return np.stack([values.real, values.imag], axis=-1)
+
+
+def test_real_and_imaginary_parts_in_a_last_axis_of_two(npz, caplog):
+    np.testing.assert_array_equal(read(npz(h=parts(RESPONSE))).values, RESPONSE)
+    np.testing.assert_array_equal(read(npz(h=parts(RESPONSE.T)), angles="phi").values, RESPONSE)
+    np.testing.assert_array_equal(
+        read(
+            npz(h=parts(RESPONSE[0])),
+        ).values,
+        RESPONSE[:1],
+    )
+    np.testing.assert_array_equal(read(npz(h=parts(FOUR)), angles="phi", channel=1).values, 2 * RESPONSE)
+    assert {"last axis of two is taken for real and imaginary parts" in r.message for r in caplog.records} == {True}
+    taps = parts(RESPONSE)
+    file = npz(h=taps, f=np.arange(N_AXIS) * 0.25e-9)
+    np.testing.assert_array_equal(read(file, axis_kind="delay", channel=1, angles="phi").values, taps[..., 1])
+
+
+@pytest.mark.parametrize("unit", [np.rad2deg, lambda angle: angle])
+def test_amplitude_and_phase_are_no_parts(npz, unit):
+    turning = np.exp(1j * np.linspace(0, 12, RESPONSE.size)).reshape(RESPONSE.shape)
+    amplitude, phase = np.abs(RESPONSE), unit(np.angle(turning))
+    for first in (amplitude, -40 + amplitude):
+        file = npz(h=np.stack([first, phase], -1), re=first, im=phase)
+        assert "they look like amplitude and phase; save real and imaginary parts" in refused(file)
+        assert "they look like amplitude and phase" in refused(file, data="re", data_imag="im")
 
 
 @pytest.mark.parametrize("shape", [(N_AXIS,), (1, N_AXIS), (N_AXIS, 1)])
@@ -480,7 +653,7 @@ def test_the_imaginary_part_may_be_apart(npz):
 
 
 def test_a_delay_response_may_be_real(npz):
-    data = read(npz(h=np.abs(RESPONSE)), axis_kind="delay")
+    data = read(npz(h=np.abs(RESPONSE), f=np.arange(N_AXIS) * 0.25e-9), axis_kind="delay")
     np.testing.assert_array_equal(data.values, np.abs(RESPONSE))
 
 
@@ -546,8 +719,34 @@ def test_what_does_not_fit_is_named(npz, changes, options, message):
 
 def test_the_bound_on_uneven_steps(npz):
     step = FREQUENCY[1] - FREQUENCY[0]
-    read(npz(f=bad(FREQUENCY, 3, FREQUENCY[3] + 0.9e-4 * step)))
-    assert "from place 2 to 3" in refused(npz(f=bad(FREQUENCY, 3, FREQUENCY[3] + 1.1e-4 * step)))
+    read(npz(f=bad(FREQUENCY, 3, FREQUENCY[3] + 0.9e-2 * step + 0.123)))
+    assert "from place 2 to 3" in refused(npz(f=bad(FREQUENCY, 3, FREQUENCY[3] + 1.1e-2 * step + 0.123)))
+
+
+FINE = np.linspace(34.5e9, 37.5e9, 3001)  # 1 MHz apart
+
+
+@pytest.mark.parametrize(
+    "axis",
+    [
+        np.linspace(34.5e9, 37.5e9, 60_001).astype(np.float32),  # 50 kHz; single precision holds 4 kHz
+        np.linspace(34.5e9, 37.5e9, 60_001).astype(np.float32).astype(float),
+        np.round(np.linspace(34.5e9, 37.5e9, 2999), -5),  # printed with six digits
+        np.round(np.linspace(34.5e9, 37.5e9, 70_001), -3),
+    ],
+)
+def test_rounded_axes_are_even(npz, axis):
+    data = read(npz(h=np.ones((1, axis.size), complex), f=axis))
+    np.testing.assert_allclose(data.axis, axis, rtol=2e-6)  # half of the last digit
+    data = read(npz(h=np.ones((1, axis.size), complex), f=axis / 1e9), axis_unit=1e9)
+    np.testing.assert_allclose(data.axis, axis, rtol=2e-6)
+
+
+@pytest.mark.parametrize(
+    "axis", [np.delete(FINE, 7), np.round(np.geomspace(34.5e9, 37.5e9, 101), -5), bad(FINE, 8, FINE[8] + 1e5 + 1)]
+)
+def test_uneven_axes_are_not_taken_for_rounded_ones(npz, axis):
+    assert "is not in even steps" in refused(npz(h=np.ones((1, axis.size), complex), f=axis))
 
 
 def test_wrong_arguments(npz):

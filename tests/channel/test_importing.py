@@ -7,9 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from kinds_of_channel import random_response
+from channel_scenes import random_cir
+from kinds_of_channel import random_components, random_response
 
 from mvla_sim.channel.importing import ImportSettings, import_channel, import_settings, resolve_files, source_kind
+from mvla_sim.channel.overview import overview, view_line
 from mvla_sim.channel.readers.source import READERS, Foreign, Reader
 from mvla_sim.channel.readers.touchstone_files import write_touchstone
 from mvla_sim.channel.response import FrequencyResponse
@@ -36,7 +38,7 @@ def pulses():
 
         def read(self, source, radio):
             count = int(source.read_text())
-            data = {"response": np.ones((count, self.points), complex), "start_hz": radio.carrier_hz, "step_hz": 1e6}
+            data = {"response": np.eye(count, self.points) + 0j, "start_hz": radio.carrier_hz, "step_hz": 1e6}
             return Foreign(FrequencyResponse, data, count, angles_deg=10.0 * np.arange(count), facts={"by": "hand"})
 
     yield Pulses
@@ -172,3 +174,47 @@ def test_a_file_of_an_old_deepmimo_scenario_is_told(tmp_path):
     (tmp_path / "O1_28.params.mat").write_text("x")
     with pytest.raises(DataError, match="is of a DeepMIMO scenario of version 3; give the folder of one of version 4"):
         source_kind(tmp_path / "O1_28.params.mat")
+
+
+def swept(tmp_path, response, step_hz=7.5e6):
+    """Import four sweeps of one turn."""
+    axis = 34.5e9 + step_hz * np.arange(response.shape[1])
+    np.savez(tmp_path / "a.npz", response=response, frequency=axis, angle=90.0 * np.arange(len(response)))
+    overrides = ["arrays.angles=angle", "geometry.radius_m=5"]
+    return import_channel(import_settings(tmp_path / "a.npz", overrides=overrides))
+
+
+def test_sweeps_that_hold_nothing_are_named_as_such(tmp_path, caplog):
+    good = random_response(count=4).response
+    with pytest.raises(DataError, match=r"a\.npz: every sweep is 0 at all frequencies; there is nothing in it"):
+        swept(tmp_path, np.zeros_like(good))
+    with pytest.raises(DataError, match=r"every sweep has one value at all frequencies, as 0\.5\+0j; it holds no ra"):
+        swept(tmp_path, np.full_like(good, 0.5) * np.array([0, 1, 2, 3])[:, None] / [1])
+    assert not caplog.records
+    mixed = good.copy()
+    mixed[1], mixed[3] = 0, 7
+    swept(tmp_path, mixed)
+    swept(tmp_path, np.repeat(good[:1], 4, axis=0))
+    assert [record.message.partition(": ")[2].partition(": ")[2] for record in caplog.records] == [
+        f"{tmp_path / 'a.npz'}: the sweeps of 1 views are 0 at all frequencies: 1 from 0",
+        f"{tmp_path / 'a.npz'}: the sweeps of 1 views are one value at all frequencies: 3 from 0",
+        f"{tmp_path / 'a.npz'}: all 4 views hold the same sweep",
+    ]
+
+
+def test_two_lines_let_a_person_notice_a_mistake(tmp_path):
+    """An echo at 3 m of a target that turns a quarter between views, counter-clockwise."""
+    frequency = 34.5e9 + 15e6 * np.arange(201)
+    echo = np.exp(-2j * np.pi * frequency * (2 * 3.0 / 299_792_458.0))
+    channel = swept(tmp_path, np.outer([1, 2, 3, 4], echo), 15e6)
+    assert overview(channel) == (
+        "band 34.5 GHz to 37.5 GHz in steps of 15 MHz, unambiguous to 9.993 m, resolution 0.0497 m; strongest echoes "
+        "of the views at 3 to 3 m, median 3 m",
+        "4 views from 0° to 90°: 270° in steps of 90°, seen from above sensor clockwise or target counter-clockwise, "
+        "sensor 5 m from (0, 0)",
+    )
+    assert view_line(channel.views.select(np.array([0, 2, 1, 3]))).startswith("4 views from 0° to 90° in no one sense")
+    for kind in (random_cir(), random_components()):
+        echoes, views = overview(kind)
+        assert "strongest echoes of the views at " in echoes
+        assert views.startswith("5 views from ")

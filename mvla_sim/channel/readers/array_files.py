@@ -3,11 +3,13 @@
 =================  ===========================================================  =================
 suffix             format                                                       name of an array
 =================  ===========================================================  =================
-``.mat``           MATLAB 5 to 7 (``save -v6``, ``-v7``) and 7.3 (``-v7.3``)    ``s.field`` in a struct
+``.mat``           MATLAB 5 to 7 (``save -v6``, ``-v7``) and 7.3 (``-v7.3``)    ``s.t.field`` in structs
 ``.npz``           NumPy, without Python objects
 ``.h5``, ``.hdf5`` HDF5                                                         ``group/name``
-``.nc``            NetCDF-4                                                     ``group/name``
+``.nc``            NetCDF-4 and NetCDF-3                                        ``group/name``
 =================  ===========================================================  =================
+
+Arrays of one shape in the cells of a MATLAB cell array, or in one field of an array of structs, are one array.
 
 The libraries for MATLAB and HDF5 files crash the process, or never return, on some damaged files. A process of its own
 therefore reads these, with bounds on its memory and time; what kills it is an error of the file.
@@ -25,8 +27,8 @@ import sys
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -34,7 +36,20 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from mvla_sim.channel.readers.array_values import ArrayEntry, check_claim, check_number, plain_values, refusal_of, shown
+from mvla_sim.channel.readers.array_values import (
+    MOST_TEXTS,
+    ArrayEntry,
+    Arrays,
+    Entries,
+    check_claim,
+    check_number,
+    plain_values,
+    refusal_of,
+    shown,
+    words_of,
+)  # fmt: skip
+from mvla_sim.channel.readers.hdf5_arrays import is_hdf5, read_classic_netcdf, read_hdf5
+from mvla_sim.channel.readers.matlab_arrays import read_matlab
 from mvla_sim.errors import DataError
 from mvla_sim.files import existing_file
 from mvla_sim.memory import USABLE
@@ -44,20 +59,15 @@ __all__ = ["SUFFIXES", "ArrayFile", "read_array_file", "read_single_arrays"]
 SUFFIXES: Final = (".mat", ".npz", ".h5", ".hdf5", ".nc")
 """Of files that are read."""
 
-_PATIENCE_S: Final = 30.0  # for any file, and a second more for each of the following
+_PATIENCE_S: Final = 30.0  # of computing for any file, and a second more for each of the following
+_WAITING: Final = 4  # of a busy machine: seconds that pass for one of computing
 _BYTES_A_SECOND: Final = 20e6
 _MOST_LISTED: Final = 20
 _HEADER_BYTES: Final = 4096  # of .npy; those of plain arrays take 128
-_MATLAB_NUMBERS: Final = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
 _CHILD: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from mvla_sim.channel.readers import array_files; "
     "array_files._answer(json.loads(sys.argv[2]))"
 )
-
-Arrays = dict[str, NDArray[Any]]
-
-
-Entries = dict[str, ArrayEntry]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +91,16 @@ class ArrayFile:
         if entry is None:
             raise DataError(f"{self.file}: has no variable '{shown(name)}'; it has {self._contents()}")
         if entry.refusal:
-            raise DataError(f"{self.file}: variable '{shown(name)}' is {entry.refusal}, must be an array of numbers")
+            remedy = entry.remedy or "must be an array of numbers"
+            raise DataError(f"{self.file}: variable '{shown(name)}' is {entry.refusal}, {remedy}")
         values = self.loaded[name] if name in self.loaded else _read(self.file, [name])[1][name]
         return values.squeeze()
+
+    def axes(self, name: str) -> tuple[str, ...]:
+        """Names of the axes of what :meth:`get` returns; empty where the file gives none."""
+        entry = self.entries[name.strip("/")]
+        axes = zip(entry.shape, entry.axes, strict=True) if entry.axes else ()
+        return tuple(axis for length, axis in axes if length != 1)
 
     def _contents(self) -> str:
         texts = [f"{shown(name)} {entry.refusal or entry.shape}" for name, entry in self.entries.items()]
@@ -189,6 +206,8 @@ def _read_npy(
     older, newer = np.lib.format.read_array_header_1_0, np.lib.format.read_array_header_2_0
     shape, fortran, dtype = (older if version == (1, 0) else newer)(start)
     entry = ArrayEntry(shape, refusal_of(dtype))
+    if entry.refusal == "text" and math.prod(shape) <= MOST_TEXTS and dtype.itemsize <= _HEADER_BYTES:
+        return replace(entry, texts=_npy_words(start.getvalue() + stream.read(), start.tell(), shape, dtype)), None
     if entry.refusal or not load:
         return entry, None
     check_claim(file, name, shape, dtype.itemsize)
@@ -201,6 +220,13 @@ def _read_npy(
     )
 
 
+def _npy_words(content: bytes, offset: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> tuple[str, ...]:
+    """Words of a list of texts in an .npy; none where they are not all there."""
+    count = math.prod(shape)
+    whole = min(shape, default=0) >= 0 and len(content) == offset + count * dtype.itemsize
+    return words_of(np.frombuffer(content, dtype, count, offset)) if whole and count else ()
+
+
 def _read_apart(wanted: Mapping[Path, Sequence[str]]) -> dict[Path, tuple[Entries, Arrays]]:
     """Read arrays of MATLAB or HDF5 files in another process, which may crash."""
     path = json.dumps([place or str(Path.cwd()) for place in sys.path])
@@ -209,7 +235,7 @@ def _read_apart(wanted: Mapping[Path, Sequence[str]]) -> dict[Path, tuple[Entrie
     file = next(iter(wanted))
     quiet = os.environ | {"OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::"}  # "::": load no foreign filters
     with tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as complaint:
-        limit_s = _patience_s(wanted)
+        limit_s = _WAITING * _patience_s(wanted)
         try:
             code = subprocess.run(  # noqa: S603 - this very interpreter
                 command, stdin=subprocess.DEVNULL, stdout=answer, stderr=complaint, env=quiet, timeout=limit_s,
@@ -231,7 +257,10 @@ def _read_apart(wanted: Mapping[Path, Sequence[str]]) -> dict[Path, tuple[Entrie
             told = json.loads(answer.readline())
             if isinstance(told, str):
                 raise DataError(told)
-            entries = {name: ArrayEntry(tuple(shape), refusal) for name, shape, refusal in told["entries"]}
+            entries = {
+                name: ArrayEntry(tuple(shape), refusal, tuple(texts), tuple(axes), remedy)
+                for name, shape, refusal, texts, axes, remedy in told["entries"]
+            }
             loaded = {name: np.lib.format.read_array(answer, allow_pickle=False) for name in told["loaded"]}
             found[one] = entries, loaded
         return found
@@ -253,131 +282,25 @@ def _answer(wanted: Sequence[tuple[str, Sequence[str]]]) -> None:
     out = sys.stdout.buffer
     for path, (_, names) in zip(files, wanted, strict=True):
         try:
-            entries, loaded = (_hdf5 if _is_hdf5(path) else _matlab)(path, names)
+            entries, loaded = _reader(path)(path, names)
         except DataError as error:
             out.write(json.dumps(str(error)).encode())
             return
-        told = {"entries": [(name, e.shape, e.refusal) for name, e in entries.items()], "loaded": list(loaded)}
+        told = {"entries": [(name, *astuple(e)) for name, e in entries.items()], "loaded": list(loaded)}
         out.write(json.dumps(told).encode() + b"\n")
         for values in loaded.values():
             np.lib.format.write_array(out, values, allow_pickle=False)
 
 
-def _is_hdf5(file: Path) -> bool:
-    """Whether the signature is where HDF5 looks for it: at the start, at 512 bytes, and at each double of that."""
-    with file.open("rb") as handle:
-        size, at = file.stat().st_size, 0
-        while at < size:
-            handle.seek(at)
-            if handle.read(8) == b"\x89HDF\r\n\x1a\n":
-                return True
-            at = at * 2 or 512
-    return False
-
-
-def _matlab(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
-    """Read a MATLAB 5 to 7 file with SciPy."""
+def _reader(file: Path) -> Callable[[Path, Sequence[str]], tuple[Entries, Arrays]]:
+    """What reads a file, by its first bytes."""
+    if is_hdf5(file):
+        return read_hdf5
     with file.open("rb") as handle:
         start = handle.read(128)
-    if start.startswith(b"CDF"):
-        raise DataError(f"{file}: is classic NetCDF-3, which is not read; convert it with nccopy -k nc4")
-    if file.suffix.lower() != ".mat" or start[124:128] not in (b"\x00\x01IM", b"\x01\x00MI"):
-        kind = "MATLAB 5 to 7.3" if file.suffix.lower() == ".mat" else "HDF5"
-        raise DataError(f"{file}: is no {kind} file")
-    import scipy.io.matlab as sio  # noqa: PLC0415 - slow, and only here is it needed
-
-    listed = sio.whosmat(file)
-    check_number(file, len(listed))
-    if len({name for name, _, _ in listed}) < len(listed):
-        raise DataError(f"{file}: has two variables of one name")
-    entries = {
-        name: ArrayEntry(shape, None if kind in _MATLAB_NUMBERS else f"of class {kind}")
-        for name, shape, kind in listed
-        if kind != "struct"
-    }
-    asked = [name for name in wanted if name in entries and entries[name].refusal is None]
-    for name in asked:
-        check_claim(file, name, entries[name].shape, 1)  # a byte is the least that MATLAB stores for a number
-    structs = [name for name, _, kind in listed if kind == "struct"]
-    content = sio.loadmat(file, variable_names=[*asked, *structs]) if asked or structs else {}
-    loaded = {name: plain_values(np.asarray(content[name])) for name in asked}
-    for name in structs:
-        if content[name].size != 1:
-            entries[name] = ArrayEntry(content[name].shape, "an array of structs")
-            continue
-        for part in content[name].dtype.names or ():
-            values = np.asanyarray(content[name].flat[0][part])
-            label = f"{name}.{part}"
-            entries[label] = ArrayEntry(values.shape, refusal_of(values.dtype))
-            if label in wanted and entries[label].refusal is None:
-                loaded[label] = plain_values(values)
-    return entries, loaded
-
-
-def _hdf5(file: Path, wanted: Sequence[str]) -> tuple[Entries, Arrays]:
-    """Read an HDF5 file; those of MATLAB have their axes the other way round and structs for groups."""
-    import h5py  # noqa: PLC0415 - slow, and only here is it needed
-
-    matlab, netcdf = (file.suffix.lower() == suffix for suffix in (".mat", ".nc"))
-    entries, loaded = Entries(), Arrays()
-    with h5py.File(file, "r") as handle:
-        for name, dataset in _datasets(file, handle, matlab=matlab):
-            shape = dataset.shape or ()
-            entry = ArrayEntry(shape[::-1] if matlab else shape, _dataset_refusal(dataset))
-            if netcdf and _text(dataset, "NAME").startswith("This is a netCDF dimension but not a netCDF variable"):
-                continue
-            entries[name] = entry
-            if name in wanted and entry.refusal is None:
-                check_claim(file, name, entry.shape, dataset.dtype.itemsize)
-                values = plain_values(_unpacked(np.asarray(dataset[()]), dataset.attrs if netcdf else {}))
-                loaded[name] = values.T if matlab else values
-    return entries, loaded
-
-
-def _datasets(file: Path, root: Any, *, matlab: bool) -> Iterator[tuple[str, Any]]:
-    """Yield names and datasets of an open HDF5 file, each group once; no soft or external link is followed."""
-    import h5py  # noqa: PLC0415 - slow, and only here is it needed
-
-    groups, seen, count = [("", root)], {h5py.h5o.get_info(root.id).addr}, 0
-    while groups:
-        prefix, group = groups.pop(0)
-        for name in group:
-            count += 1
-            check_number(file, count)
-            if matlab and name.startswith("#"):
-                continue  # "#refs#" and the like are MATLAB's own
-            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                continue
-            child = group[name]
-            if isinstance(child, h5py.Dataset):
-                yield prefix + name, child
-            elif isinstance(child, h5py.Group) and (address := h5py.h5o.get_info(child.id).addr) not in seen:
-                seen.add(address)
-                groups.append((f"{prefix}{name}{'.' if matlab else '/'}", child))
-
-
-def _dataset_refusal(dataset: Any) -> str | None:
-    """Say what an HDF5 dataset is instead of numbers in this very file."""
-    if dataset.shape is None or "MATLAB_empty" in dataset.attrs:
-        return "empty"
-    if dataset.is_virtual or dataset.external:
-        return "in another file"
-    kind = _text(dataset, "MATLAB_class")
-    return refusal_of(dataset.dtype) if kind in ("", *_MATLAB_NUMBERS) else f"of class {shown(kind)}"
-
-
-def _text(dataset: Any, attribute: str) -> str:
-    value = dataset.attrs.get(attribute, "")
-    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
-
-
-def _unpacked(values: NDArray[Any], attributes: Mapping[str, Any]) -> NDArray[Any]:
-    """Apply the packing conventions of NetCDF: missing values become NaN, scaled integers what they stand for."""
-    if values.dtype.kind in "iuf":
-        if "_FillValue" in attributes:
-            fill = np.ravel(attributes["_FillValue"])[0]
-            values = np.where(values == fill, np.nan, values)
-        for key, apply in (("scale_factor", np.multiply), ("add_offset", np.add)):
-            if key in attributes:
-                values = apply(values, np.float64(np.ravel(attributes[key])[0]))
-    return values
+    if start.startswith((b"CDF\x01", b"CDF\x02")):
+        return read_classic_netcdf
+    if file.suffix.lower() == ".mat" and start[124:128] in (b"\x00\x01IM", b"\x01\x00MI"):
+        return read_matlab
+    kind = {".mat": "MATLAB 5 to 7.3", ".nc": "NetCDF"}.get(file.suffix.lower(), "HDF5")
+    raise DataError(f"{file}: is no {kind} file")

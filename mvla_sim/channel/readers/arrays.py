@@ -6,22 +6,22 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PositiveFloat
+from pydantic import Field, NonNegativeInt, PositiveFloat
 
+from mvla_sim.channel.readers.array_axes import joined_parts, of_views, parts_in_last_axis
 from mvla_sim.channel.readers.array_files import SUFFIXES, ArrayFile, read_array_file
-from mvla_sim.channel.readers.array_values import check_axis, shown
-from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader
+from mvla_sim.channel.readers.array_values import AXIS_TOLERANCE, ELEMENT, check_axis, shown
+from mvla_sim.channel.readers.axis_units import AngleUnit, AxisKind, check_axis_unit, degrees_of
+from mvla_sim.channel.readers.rounded_axis import unrounded_axis
+from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader, note
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.errors import ConfigError, DataError
 
 __all__ = ["ArrayData", "ArrayReader", "read_responses"]
-
-UNEVENNESS: Final = 1e-4
-"""How far a value of an axis may be from where even steps put it, in steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +42,9 @@ class ArrayData:
 class ArrayReader(Reader):
     """Named arrays in a .mat, .npz, HDF5 or NetCDF file.
 
-    Which of the response's two axes is the view is told by the lengths of the others; where both fit it is the first. A
-    single view may have one axis. Positions may also lie the other way round; z is 0 where it is not given.
+    Which of the response's axes is the view is told by the lengths of the others, or by ``view_axis``. A third axis is
+    of channels, such as polarisations, or one of two at the end is of real and imaginary parts. A single view may have
+    one axis. Positions may also lie the other way round; z is 0 where it is not given.
     """
 
     name: ClassVar = "arrays"
@@ -53,9 +54,20 @@ class ArrayReader(Reader):
     data: str = Field("response", description="name of the complex array [view, frequency] or [view, delay]")
     data_imag: str | None = Field(None, description="name of the imaginary part, where it is apart")
     axis: str = Field("frequency", description="name of the frequency or delay axis")
-    axis_kind: Literal["frequency", "delay"] = "frequency"
-    axis_unit: PositiveFloat = Field(1.0, description="Hz or s per unit of the axis: 1e9 for GHz, 1e-9 for ns")
-    angles: str | None = Field(None, description="name of the angles, degrees, one a view")
+    axis_kind: AxisKind = "frequency"
+    axis_unit: PositiveFloat | None = Field(
+        None, description="Hz or s per unit of the axis: 1e9 for GHz, 1e-9 for ns; by default 1, if that is plausible"
+    )
+    view_axis: Annotated[int, Field(ge=0, le=2)] | None = Field(
+        None, description="which axis of the data is the view, from 0, without lengths of 1; by default told by lengths"
+    )
+    channel: NonNegativeInt | str | None = Field(
+        None, description="which of a third axis, such as polarisations: its number from 0, or its name in the file"
+    )
+    angles: str | None = Field(None, description="name of the angles, one a view")
+    angle_unit: AngleUnit | None = Field(
+        None, description="degree or radian; by default degrees, unless they look like radians"
+    )
     positions: str | None = Field(None, description="name of the positions, [view, 2 or 3] metres")
     receivers: str | None = Field(None, description="name of the receivers' positions, where they differ")
 
@@ -71,7 +83,7 @@ class ArrayReader(Reader):
             axis = found.axis
             data = found.values, float(axis[0]), float((axis[-1] - axis[0]) / (axis.size - 1))
         else:
-            data = _of_taps(found, self, source, radio)
+            data = _of_taps(found, radio)
         return Foreign(
             FrequencyResponse, dict(zip(("response", "start_hz", "step_hz"), data, strict=True)), len(found.values),
             found.angles_deg, found.positions_m, found.receivers_m,
@@ -89,23 +101,32 @@ def read_responses(file: str | os.PathLike[str], names: ArrayReader) -> ArrayDat
     data, data_imag, axis = names.data, names.data_imag, names.axis
     angles, positions, receivers = names.angles, names.positions, names.receivers
     source = read_array_file(file, [name for name in (data, data_imag, axis, angles, positions, receivers) if name])
-    steps = _real(source, axis, names.axis_unit)
-    falling = check_axis(steps, f"{source.file}: axis '{shown(axis)}'", UNEVENNESS)
-    angles_deg = None if angles is None else _angles(source, angles)
+    steps, written = _real(source, axis, names.axis_unit or 1.0), _real(source, axis)
+    place = f"{source.file}: axis '{shown(axis)}'"
+    falling = written.ndim == 1 and written.size > 1 and written[0] > written[-1]
+    order = slice(None, None, -1 if falling else 1)
+    rounded = unrounded_axis(written[order], AXIS_TOLERANCE) if written.ndim == 1 else None
+    if rounded is not None:
+        unit = names.axis_unit or 1.0
+        steps = np.asarray((rounded[0] + rounded[1] * np.arange(written.size))[order] * unit, np.float64)
+        note(f"{place} is rounded; its values are taken for even steps of {rounded[1] * unit:.9g}")
+    else:
+        check_axis(written, place, AXIS_TOLERANCE)
+    check_axis_unit(written[order], names.axis_kind, names.axis_unit, place)
+    angles_deg = None if angles is None else _angles(source, angles, names.angle_unit)
     positions_m, receivers_m = (None if name is None else _places(source, name) for name in (positions, receivers))
     per_view = {"angles": angles_deg, "positions": positions_m, "receivers": receivers_m}
     lengths = {what: len(array) for what, array in per_view.items() if array is not None}
     if len(set(lengths.values())) > 1:
         texts = (f"{length} {what}" for what, length in lengths.items())
         raise DataError(f"{source.file}: has {', '.join(texts)}; each view needs one")
-    values = _oriented(source, data, data_imag, next(iter(lengths.values()), None), steps.size)
+    values = _responses(source, names, next(iter(lengths.values()), None), steps.size)
     if names.axis_kind == "frequency" and values.dtype.kind != "c":
         raise DataError(
             f"{source.file}: variable '{shown(data)}' is real; a frequency response is complex, or has its imaginary "
             "part in another variable (data_imag)"
         )
     _check_finite(values, f"{source.file}: variable '{shown(data)}'", ("view", "point"))
-    order = slice(None, None, -1 if falling else 1)
     return ArrayData(
         np.array(values[:, order], np.complex128, order="C"),
         np.array(steps[order]),
@@ -134,11 +155,11 @@ def _check_finite(values: NDArray[Any], place: str, axes: Sequence[str]) -> None
         raise DataError(f"{place} is {values[first]} at {where} (from 0), must be finite")
 
 
-def _angles(source: ArrayFile, name: str) -> NDArray[np.float64]:
+def _angles(source: ArrayFile, name: str, unit: AngleUnit | None) -> NDArray[np.float64]:
     values = np.atleast_1d(_real(source, name))
     if values.ndim != 1 or not values.size:
         raise DataError(f"{source.file}: variable '{shown(name)}' has shape {values.shape}, must be [n_view] degrees")
-    return values
+    return degrees_of(values, unit, f"{source.file}: variable '{shown(name)}'")
 
 
 def _places(source: ArrayFile, name: str) -> NDArray[np.float64]:
@@ -154,33 +175,46 @@ def _places(source: ArrayFile, name: str) -> NDArray[np.float64]:
     return np.pad(values, ((0, 0), (0, 3 - values.shape[1])))
 
 
-def _oriented(source: ArrayFile, data: str, data_imag: str | None, n_view: int | None, n_axis: int) -> NDArray[Any]:
+def _responses(source: ArrayFile, names: ArrayReader, n_view: int | None, n_axis: int) -> NDArray[Any]:
     """Response ``[n_view, n_axis]``, real or complex."""
-    values = source.get(data)
-    place = f"{source.file}: variable '{shown(data)}'"
-    if data_imag is not None:
-        imaginary = source.get(data_imag)
+    values = source.get(names.data)
+    place = f"{source.file}: variable '{shown(names.data)}'"
+    if names.data_imag is not None:
+        imaginary = source.get(names.data_imag)
         if "c" in (values.dtype.kind, imaginary.dtype.kind):
-            raise DataError(f"{place} or '{shown(data_imag)}' is complex; as parts of one response both must be real")
+            other = shown(names.data_imag)
+            raise DataError(f"{place} or '{other}' is complex; as parts of one response both must be real")
         if imaginary.shape != values.shape:
-            raise DataError(f"{place} has shape {values.shape}, '{shown(data_imag)}' has {imaginary.shape}")
-        with np.errstate(all="ignore"):
-            parts = np.empty(values.shape, np.complex128)
-            parts.real, parts.imag = values, imaginary
-        values = parts
-    table = np.atleast_2d(values)
-    views = (n_view,) if n_view is not None else table.shape
-    if table.ndim == 2:
-        for candidate in (table, table.T):
-            if candidate.size and candidate.shape[1] == n_axis and candidate.shape[0] in views:
-                return candidate
-    wanted = f"({n_view or 'views'}, {n_axis})"
-    raise DataError(f"{place} has shape {values.shape}, must be {wanted}: views, values of the axis")
+            raise DataError(f"{place} has shape {values.shape}, '{shown(names.data_imag)}' has {imaginary.shape}")
+        values = joined_parts(values, imaginary, place)
+    elif parts_in_last_axis(values, n_view, n_axis) and not _two_real_channels(values, names):
+        values = joined_parts(values[..., 0], values[..., 1], place)
+        note(f"{place}: its last axis of two is taken for real and imaginary parts")
+    texts = [entry.texts for entry in source.entries.values() if entry.texts]
+    return of_views(
+        values, place, n_view=n_view, n_axis=n_axis, view_axis=names.view_axis, labelled=_labelled_view(source, names),
+        channel=names.channel, names=texts,
+    )  # fmt: skip
 
 
-def _of_taps(
-    data: ArrayData, names: ArrayReader, source: Path, radio: GivenRadio
-) -> tuple[NDArray[np.complex128], float, float]:
+def _labelled_view(source: ArrayFile, names: ArrayReader) -> int | None:
+    """Which axis of the data is the view by the names that the file gives to axes; None where these do not tell."""
+    labels = source.axes(names.data)
+    per_view = [name for name in (names.angles, names.positions, names.receivers) if name]
+    of_view = {ELEMENT, *(label for name in per_view for label in source.axes(name)[:1])} - {""}
+    of_axis = set(source.axes(names.axis)) - {""}
+    found = [i for i, label in enumerate(labels) if label in of_view]
+    if not found and len(labels) == 2 and of_axis & set(labels):
+        found = [i for i, label in enumerate(labels) if label not in of_axis]
+    return found[0] if len(found) == 1 else None
+
+
+def _two_real_channels(values: NDArray[Any], names: ArrayReader) -> bool:
+    """Whether a last axis of two holds two views or channels of real taps, as a delay response may."""
+    return names.axis_kind == "delay" and (values.ndim == 2 or (values.ndim == 3 and names.channel is not None))
+
+
+def _of_taps(data: ArrayData, radio: GivenRadio) -> tuple[NDArray[np.complex128], float, float]:
     """Frequency response of complex taps h_l at delays τ_l: H(f) = (K/L) Σ_l h_l exp(−j2π(f − f_c)τ_l).
 
     Taps Δτ apart fill the band 1/Δτ; where the data's bandwidth is smaller, the K frequencies inside it are kept. The
@@ -189,8 +223,6 @@ def _of_taps(
     if radio.carrier_hz is None:
         raise ConfigError("carrier_hz: missing key; taps over delay do not say their carrier")
     spacing = float((data.axis[-1] - data.axis[0]) / (data.axis.size - 1))
-    if data.axis[0] < 0:
-        raise DataError(f"{source}: {names.axis} begins at {data.axis[0]:g} s; delays are absolute")
     band = 1 / spacing
     wanted = radio.bandwidth_hz or band
     if wanted > band * (1 + 1e-6):

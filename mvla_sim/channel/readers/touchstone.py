@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from mvla_sim.channel.readers.angles import angles_of_files, missing_angles
+from mvla_sim.channel.readers.array_values import AXIS_TOLERANCE
 from mvla_sim.channel.readers.nearby import what_to_give
 from mvla_sim.channel.readers.source import Foreign, GivenRadio, Reader, note
-from mvla_sim.channel.readers.touchstone_files import AXIS_TOLERANCE, PARAMETER, Sweep, read_touchstone
+from mvla_sim.channel.readers.touchstone_files import PARAMETER, Sweep, read_touchstone
 from mvla_sim.channel.references import BackgroundSettings, ReferenceSettings, calibrate, subtract_background
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.errors import ConfigError, DataError

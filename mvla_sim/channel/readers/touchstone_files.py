@@ -14,17 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from skrf.io.touchstone import Touchstone
 
-from mvla_sim.channel.readers.array_values import check_axis, shown
+from mvla_sim.channel.readers.array_values import AXIS_TOLERANCE, check_axis, shown
 from mvla_sim.channel.readers.rounded_axis import unrounded_axis
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.files import atomic_output, existing_file
 from mvla_sim.text_files import lines_of, read_text
 
-__all__ = ["AXIS_TOLERANCE", "Sweep", "read_touchstone", "write_touchstone"]
+__all__ = ["Sweep", "read_touchstone", "write_touchstone"]
 
-AXIS_TOLERANCE: Final = 0.01
-"""How far a frequency may be off the uniform axis, in steps. Files hold rounded frequencies; at the unambiguous range
-such an error turns the phase by at most 0.01·360° = 3.6°, nearer echoes by less. Lists and segments miss by steps."""
 LARGEST_FILE: Final = 2**27
 """128 MiB: 100 001 frequencies of four ports take 80. More would take the parser gigabytes."""
 
