@@ -75,6 +75,9 @@ if TYPE_CHECKING:
         MvlaError as MvlaError,
     )
     from mvla_sim.errors import (
+        MvlaWarning as MvlaWarning,
+    )
+    from mvla_sim.errors import (
         OutputError as OutputError,
     )
     from mvla_sim.evaluation.boxes import bounding_box as bounding_box
@@ -147,6 +150,7 @@ if TYPE_CHECKING:
     from mvla_sim.scene.antennas.pattern_file import PatternFile as PatternFile
     from mvla_sim.scene.material import CustomMaterial as CustomMaterial
     from mvla_sim.scene.material import ScatteringPattern as ScatteringPattern
+    from mvla_sim.scene.placing import SceneObject as SceneObject
     from mvla_sim.scene.pointing import PointingSettings as PointingSettings
     from mvla_sim.scene.radio import RadioSettings as RadioSettings
     from mvla_sim.scene.radio import RayTracingSettings as RayTracingSettings
@@ -170,9 +174,6 @@ if TYPE_CHECKING:
     from mvla_sim.scene.views import Views as Views
     from mvla_sim.scene.world import (
         Scene as Scene,
-    )
-    from mvla_sim.scene.world import (
-        SceneObject as SceneObject,
     )
     from mvla_sim.scene.world import (
         SceneSettings as SceneSettings,
@@ -201,7 +202,7 @@ _PUBLIC = {
     "dataset.build": "build_dataset",
     "dataset.campaign": "CampaignSettings load_campaign",
     "dataset.score": "score_dataset",
-    "errors": "ConfigError DataError MvlaError OutputError",
+    "errors": "ConfigError DataError MvlaError MvlaWarning OutputError",
     "evaluation.boxes": "bounding_box",
     "evaluation.evaluate": "Evaluation EvaluationSettings evaluate",
     "evaluation.metrics": "Scores",
@@ -241,6 +242,7 @@ _PUBLIC = {
     "scene.antennas.omni": "Omni",
     "scene.antennas.pattern_file": "PatternFile",
     "scene.material": "CustomMaterial ScatteringPattern",
+    "scene.placing": "SceneObject",
     "scene.pointing": "PointingSettings",
     "scene.radio": "RadioSettings RayTracingSettings",
     "scene.shape": "Prism Shape",
@@ -260,7 +262,7 @@ _PUBLIC = {
     "scene.trajectories.turntable": "Turntable",
     "scene.trajectory": "Trajectory",
     "scene.views": "Views",
-    "scene.world": "Scene SceneObject SceneSettings load_scene",
+    "scene.world": "Scene SceneSettings load_scene",
     "sweep.design_run": "load_design",
     "sweep.experiment": "ExperimentSettings load_experiment",
     "sweep.run": "run_experiment",

@@ -25,7 +25,9 @@ class GridSettings(Settings):
     other parity is made one voxel larger. One layer is one layer in either case.
     """
 
-    center_m: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="of the grid, x, y and z")
+    center_m: tuple[float, float, float] | None = Field(
+        None, description="of the grid, x, y and z; by default the origin, at the height of the imaging plane"
+    )
     size_m: tuple[PositiveFloat, PositiveFloat, NonNegativeFloat] = Field(
         (10.0, 10.0, 0.0), description="along x, y and z; a height of 0 is one layer"
     )
@@ -40,6 +42,10 @@ class GridSettings(Settings):
             if 0 < size < self.spacing_m:
                 raise ValueError(f"size_m along {axis} = {size:g} is below spacing_m = {self.spacing_m:g}")
         return self
+
+    def middle_m(self, plane_height_m: float | None = None) -> tuple[float, float, float]:
+        """The centre, metres: as set, or else the origin at the height of the imaging plane, or at 0."""
+        return self.center_m or (0.0, 0.0, plane_height_m or 0.0)
 
 
 @dataclass(frozen=True)
@@ -71,9 +77,10 @@ class VoxelGrid:
             raise ConfigError(f"grid: spacing_m = {self.spacing_m} must be a positive length")
 
     @classmethod
-    def from_settings(cls, settings: GridSettings) -> VoxelGrid:
+    def from_settings(cls, settings: GridSettings, plane_height_m: float | None = None) -> VoxelGrid:
         """Build the grid of a settings block.
 
+        Without a centre it is about the origin, at the height of the imaging plane, or at 0 where that is not known.
         A size that is no multiple of the spacing is rounded to voxels, then up to the parity that ``align`` asks for.
         """
         counts = [max(1, round(size / settings.spacing_m)) for size in settings.size_m]
@@ -83,7 +90,7 @@ class VoxelGrid:
                 count + (count % 2 != odd) if size > 0 else count
                 for count, size in zip(counts, settings.size_m, strict=True)
             ]
-        return cls(settings.center_m, (counts[0], counts[1], counts[2]), settings.spacing_m)
+        return cls(settings.middle_m(plane_height_m), (counts[0], counts[1], counts[2]), settings.spacing_m)
 
     @property
     def shape(self) -> tuple[int, int, int]:

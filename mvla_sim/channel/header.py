@@ -61,6 +61,9 @@ class Channel:
         Largest extent D of the target, metres; NaN where unknown.
     outline
         Cross-section of the target at the imaging plane, or None where unknown; only evaluation looks at it.
+    plane_height_m
+        Height of the imaging plane, at which the outline was cut and the grid lies by default, metres; None where
+        unknown.
     antenna
         Pattern of both antennas; it is part of the data already, and tells imaging where the beam reaches.
     config
@@ -82,6 +85,7 @@ class Channel:
     bandwidth_hz: float
     extent_m: float = float("nan")
     outline: Any = None
+    plane_height_m: float | None = None
     antenna: Antenna = field(default_factory=Omni)
     config: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
@@ -137,6 +141,8 @@ class Channel:
         }
         if self.outline is not None:
             attributes["target_outline_wkt"] = shapely.to_wkt(self.outline, rounding_precision=9)
+        if self.plane_height_m is not None:
+            attributes["imaging_plane_height_m"] = self.plane_height_m
         axes = {"xyz": ["x", "y", "z"], "view": np.arange(self.n_view), "xy": ["x", "y"]}
         return xr.Dataset(entries, axes, attributes)
 
@@ -172,6 +178,7 @@ class Channel:
         antenna = json.loads(dataset.attrs.get("antenna", '{"kind": "omni"}'))
         return cls.fields_of({str(name): item.values for name, item in dataset.variables.items()}) | {
             "outline": shapely.from_wkt(wkt) if wkt else None,
+            "plane_height_m": _plane_height(dataset),
             "antenna": parse(ANTENNAS.model_of(antenna) or Omni, antenna, "antenna"),
             "config": table_of(dataset, "config"),
             "provenance": table_of(dataset, "provenance"),
@@ -220,3 +227,10 @@ class Channel:
             Missing, empty, truncated, not NetCDF-4, of another schema or version, or inconsistent.
         """
         return cls.from_dataset(read_netcdf(path), path)
+
+
+def _plane_height(dataset: xr.Dataset) -> float | None:
+    """Height of the imaging plane; files of earlier versions have it among the settings of their scene."""
+    config = table_of(dataset, "config")
+    height = dataset.attrs.get("imaging_plane_height_m", config.get("plane_height_m"))
+    return None if height is None else float(height)

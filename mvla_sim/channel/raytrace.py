@@ -41,8 +41,9 @@ from mvla_sim.engine.backend import activate_sionna
 from mvla_sim.errors import ConfigError, DataError
 from mvla_sim.scene.antenna import AntennaPattern
 from mvla_sim.scene.material import CustomMaterial
+from mvla_sim.scene.placing import SceneObject
 from mvla_sim.scene.radio import RayTracingSettings
-from mvla_sim.scene.world import Scene, SceneObject
+from mvla_sim.scene.world import Scene
 from mvla_sim.streams import Stream, stream
 
 __all__ = ["LaunchWindow", "ViewPaths", "ViewTracer"]

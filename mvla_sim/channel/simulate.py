@@ -155,6 +155,7 @@ def _assemble(scene: Scene, views: list[ViewPaths]) -> Cir:
         bandwidth_hz=scene.settings.radio.bandwidth_hz,
         extent_m=scene.extent_m,
         outline=scene.outline,
+        plane_height_m=scene.settings.plane_height_m,
         antenna=scene.settings.radio.antenna,
         config=scene.settings.model_dump(mode="json"),
         provenance=provenance(),

@@ -157,6 +157,7 @@ def synthesize(cir: Cir, settings: SynthesisSettings) -> SweepSet:
         views=cir.views,
         extent_m=cir.extent_m,
         outline=cir.outline,
+        plane_height_m=cir.plane_height_m,
         antenna=cir.antenna,
         config={
             **cir.config,

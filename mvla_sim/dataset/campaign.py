@@ -10,7 +10,15 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    field_validator,
+    model_validator,
+)
 
 from mvla_sim.dataset.families import FamilySettings, Name
 from mvla_sim.distributions import Listed, Real, bounded, draw, values_of
@@ -136,6 +144,11 @@ class SplitSettings(Settings):
         return self
 
 
+def _centred(grid: GridSettings) -> GridSettings:
+    """A grid of its own place: it is where objects are put, and the imaging plane."""
+    return grid.model_copy(update={"center_m": grid.middle_m()})
+
+
 class CampaignSettings(Settings):
     """One campaign file: everything that decides a dataset.
 
@@ -154,7 +167,9 @@ class CampaignSettings(Settings):
     trajectory: CampaignTrajectory = RandomCircle()
     radio: RadioSettings = RadioSettings()
     ray_tracing: RayTracingSettings = RayTracingSettings()
-    grid: GridSettings = Field(GridSettings(), description="of the occupancy; objects lie wholly inside it")
+    grid: Annotated[GridSettings, AfterValidator(_centred)] = Field(
+        GridSettings(center_m=(0.0, 0.0, 0.0)), description="of the occupancy; objects lie wholly inside it"
+    )
     object_gap_m: NonNegativeFloat = Field(0.2, description="least distance between two objects of a sample")
     sensor_gap_m: PositiveFloat = Field(0.5, description="least horizontal distance from an object to the sensor")
 

@@ -15,12 +15,11 @@ from mvla_sim.channel.simulate import SimulationInterruptedError, simulate
 from mvla_sim.dataset.build import stored_shards
 from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.dataset.sample import check_room, draw_sample, family_of
-from mvla_sim.dataset.shard import Sample, encode, numbers_of, occupancy_of
+from mvla_sim.dataset.shard import Sample, encode, numbers_of, occupancy_of, scene_of
 from mvla_sim.engine.backend import set_threads
 from mvla_sim.engine.machine import core_count
 from mvla_sim.errors import DataError, RuntimeUnfitError, reason
 from mvla_sim.grid import VoxelGrid
-from mvla_sim.scene.world import Scene
 
 __all__ = ["BuildForecast", "estimate"]
 
@@ -131,7 +130,7 @@ def _probes(campaign: CampaignSettings) -> list[_Probe]:
 def _probe(campaign: CampaignSettings, number: int, weight: float) -> _Probe:
     """Trace some views of a sample."""
     settings = draw_sample(campaign, number)
-    whole = Scene(settings, source=settings.name)
+    whole = scene_of(settings)
     views = len(whole.views)
     chosen = np.unique(np.linspace(0, views - 1, min(PROBED_VIEWS, views)).astype(np.intp))
     part = whole.select(chosen)

@@ -184,6 +184,7 @@ class ShardReader:
         return Cir(
             **Cir.fields_of(stored),
             outline=self._outline(row),
+            plane_height_m=self.campaign.grid.middle_m()[2],
             antenna=self.campaign.radio.antenna,
             config=metadata.get("settings", {}),
             provenance=self.provenance,

@@ -66,7 +66,7 @@ def draw_sample(campaign: CampaignSettings, k: int) -> SceneSettings:
         trajectory=trajectory,
         radio=campaign.radio,
         ray_tracing=campaign.ray_tracing.model_copy(update={"seed": tracing_seed}),
-        plane_height_m=campaign.grid.center_m[2],
+        plane_height_m=campaign.grid.middle_m()[2],
     )
 
 
@@ -154,7 +154,7 @@ def _arrange(
     """Objects of a sample in their places, and its trajectory."""
     count = draw(family.objects, random)
     for _ in range(DRAWS):
-        trajectory = campaign.trajectory.drawn(campaign.grid.center_m, random)
+        trajectory = campaign.trajectory.drawn(campaign.grid.middle_m(), random)
         try:
             objects = _place(campaign, family, count, _sensors(campaign, trajectory, source), random)
         except ConfigError as error:
@@ -169,7 +169,7 @@ def _arrange(
 
 def _sensors(campaign: CampaignSettings, trajectory: Trajectory, source: str) -> BaseGeometry:
     """Where transmitters and receivers stand, seen from above, metres."""
-    x, y, _ = campaign.grid.center_m
+    x, y, _ = campaign.grid.middle_m()
     views = trajectory.build_views((x, y), f"{source}: trajectory")
     places = [views.positions_m] if views.receivers_m is None else [views.positions_m, views.receivers_m]
     found = shapely.MultiPoint(np.concatenate(places)[:, :2])
@@ -219,7 +219,7 @@ def _place(
 
 
 def _pose(campaign: CampaignSettings, family: FamilySettings, random: np.random.Generator) -> dict[str, Any]:
-    x, y, z = campaign.grid.center_m
+    x, y, z = campaign.grid.middle_m()
     place = (x + draw(family.x_m, random), y + draw(family.y_m, random), z)
     return {"position_m": place, "rotation_deg": draw(family.rotation_deg, random)}
 

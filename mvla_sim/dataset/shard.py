@@ -16,6 +16,7 @@ import io
 import json
 import sys
 import time
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -35,18 +36,19 @@ from mvla_sim.dataset.campaign import CampaignSettings
 from mvla_sim.dataset.sample import draw_sample, family_of, split_of
 from mvla_sim.engine.cache import cache_url
 from mvla_sim.engine.provenance import provenance
-from mvla_sim.errors import OutputError, RuntimeUnfitError, reason
+from mvla_sim.errors import MvlaWarning, OutputError, RuntimeUnfitError, reason
 from mvla_sim.evaluation.ground_truth import rasterize
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.netcdf import PACKED
 from mvla_sim.progress import Advance, progress
-from mvla_sim.scene.world import Scene
+from mvla_sim.scene.world import Scene, SceneSettings
 from mvla_sim.settings import Settings
 
 __all__ = [
     "CHANNEL_VARIABLES", "OCCUPANCY", "OPTIONAL", "SHARD_SCHEMA", "SHARD_VERSION", "TEXTS", "VARIABLES",
     "FailedSample", "Sample", "Shard",
-    "data_digest", "encode", "make_one", "make_sample", "make_shard", "numbers_of", "occupancy_of", "shard_name",
+    "data_digest", "encode", "make_one", "make_sample", "make_shard", "numbers_of", "occupancy_of", "scene_of",
+    "shard_name",
 ]  # fmt: skip
 
 SHARD_SCHEMA: Final = "mvla-sim dataset shard"
@@ -186,10 +188,17 @@ def _progress_hidden(description: str, samples: int) -> Iterator[Advance]:
         yield advance
 
 
+def scene_of(settings: SceneSettings) -> Scene:
+    """The scene of a sample; its sensor's height is what the campaign chose for all, so nothing is said of it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MvlaWarning)
+        return Scene(settings, source=settings.name)
+
+
 def make_sample(campaign: CampaignSettings, number: int, *, cache: bool = False) -> Sample:
     """Draw and trace one sample; ``cache`` as of ``simulate``; errors as of it and of ``draw_sample``."""
     settings = draw_sample(campaign, number)
-    scene = Scene(settings, source=settings.name)
+    scene = scene_of(settings)
     stored = shapely.from_wkt(_wkt(scene.outline))  # rounding must not part the occupancy from the outline
     metadata = {
         "sample": number,

@@ -20,6 +20,7 @@ from mvla_sim.dataset.sample import family_of, split_of
 from mvla_sim.dataset.shard import Sample, make_sample, occupancy_of
 from mvla_sim.errors import ConfigError, DataError, MvlaError
 from mvla_sim.progress import progress
+from mvla_sim.scene.world import SceneSettings
 from mvla_sim.streams import Stream, stream
 
 __all__ = ["Report", "unmatched_share", "verify"]
@@ -151,7 +152,8 @@ def _recompute(index: Index, number: int) -> float:
     with ShardReader(index.file(shard), index.campaign, shard) as reader:
         stored = reader.sample(reader.row_of(number))
     again = make_sample(index.campaign, number)
-    if stored.metadata["settings"] != again.metadata["settings"]:
+    scenes = [SceneSettings.model_validate(sample.metadata["settings"]) for sample in (stored, again)]
+    if scenes[0] != scenes[1]:
         raise DataError("its scene is not the one that the campaign's seed gives")
     if not stored.outline.equals_exact(again.outline, 1e-6):
         raise DataError("its outline is not that of its scene")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from mvla_sim.imaging.thresholds import THRESHOLD_RULES, ThresholdRule, joint_th
 from mvla_sim.settings import Settings
 
 __all__ = ["Evaluation", "EvaluationSettings", "evaluate", "ground_truth"]
+
+HALF: Final = 0.5 + 1e-6
+"""Of a voxel, but for rounding: so far a grid of one layer may be from the plane of its truth."""
 
 
 class EvaluationSettings(Settings):
@@ -118,11 +121,18 @@ def ground_truth(image: Image, settings: EvaluationSettings) -> NDArray[np.bool_
     Raises
     ------
     DataError
-        The image has no outline (measured data), or the outline, with its thickness, reaches out of the grid.
+        The image has no outline (measured data), or the outline, with its thickness, reaches out of the grid, or is
+        that of another height.
     """
     if image.outline is None:
         raise DataError("the image carries no outline of its target, so there is no ground truth to compare with")
     check_inside(image.outline, image.grid, settings.thickness_m)
+    z, plane = image.grid.center_m[2], image.plane_height_m
+    if plane is not None and image.grid.counts[2] == 1 and abs(z - plane) > HALF * image.grid.spacing_m:
+        raise DataError(
+            f"ground truth: the grid is at z = {z:g} m and the truth is that of the imaging plane z = {plane:g} m; "
+            f"leave out grid.center_m or set its z to {plane:g}, or plane_height_m of the scene"
+        )
     return rasterize(image.outline, image.grid, settings.truth, settings.thickness_m)
 
 

@@ -44,6 +44,8 @@ class Image:
         Binary image, ``[nz, ny, nx]`` bool, if thresholds were given.
     outline
         The target's outline carried along from the CIR for evaluation; imaging never looks at it.
+    plane_height_m
+        Height at which the outline was cut, metres; None where it is not known.
     resolution_m
         ΔR = c/(2B), metres; None in files of earlier versions.
     config, provenance
@@ -58,6 +60,7 @@ class Image:
     occupied: NDArray[np.bool_] | None = None
     outline: Any = None
     resolution_m: float | None = None
+    plane_height_m: float | None = None
     config: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
 
@@ -95,6 +98,8 @@ class Image:
         }
         if self.resolution_m is not None:
             attributes["resolution_m"] = self.resolution_m
+        if self.plane_height_m is not None:
+            attributes["imaging_plane_height_m"] = self.plane_height_m
         if self.outline is not None:
             attributes["target_outline_wkt"] = shapely.to_wkt(self.outline, rounding_precision=9)
         metres = {"units": "m"}
@@ -135,7 +140,8 @@ class Image:
                 n_view=int(dataset.attrs["views"]),
                 occupied=dataset["occupied"].values.astype(bool) if "occupied" in dataset else None,
                 outline=shapely.from_wkt(wkt) if wkt else None,
-                resolution_m=float(dataset.attrs["resolution_m"]) if "resolution_m" in dataset.attrs else None,
+                resolution_m=_number(dataset, "resolution_m"),
+                plane_height_m=_number(dataset, "imaging_plane_height_m"),
                 config=table_of(dataset, "config"),
                 provenance=table_of(dataset, "provenance"),
             )
@@ -143,3 +149,7 @@ class Image:
             raise DataError(f"{path}: attribute {error} is missing from this image file") from error
         except (ValueError, TypeError, IndexError, MvlaError, shapely.GEOSException) as error:
             raise DataError(f"{path}: not a readable image file ({error})") from error
+
+
+def _number(dataset: xr.Dataset, name: str) -> float | None:
+    return float(dataset.attrs[name]) if name in dataset.attrs else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -16,7 +17,7 @@ from mvla_sim.channel.loading import Channel
 from mvla_sim.channel.response import FrequencyResponse
 from mvla_sim.constants import range_resolution
 from mvla_sim.engine.provenance import provenance
-from mvla_sim.errors import ConfigError, DataError, check_argument
+from mvla_sim.errors import ConfigError, DataError, MvlaWarning, check_argument
 from mvla_sim.grid import VoxelGrid
 from mvla_sim.imaging.beam import build_beam
 from mvla_sim.imaging.image import Image
@@ -30,7 +31,7 @@ from mvla_sim.imaging.projection import check_grid
 from mvla_sim.imaging.thresholds import joint_threshold
 from mvla_sim.imaging.view_selection import chosen_views
 from mvla_sim.scene.antenna import Antenna
-from mvla_sim.scene.views import Views
+from mvla_sim.scene.views import SAME_HEIGHT_M, Views
 
 __all__ = [
     "Pipeline", "ProfiledChannel", "effective_noise", "observe", "profile_channel", "profile_key", "reconstruct",
@@ -63,6 +64,8 @@ class ProfiledChannel:
         The target's extent D, metres; NaN where it is not known.
     outline
         The target's cross-section, which imaging never looks at; None where it is not known.
+    plane_height_m
+        Height of the imaging plane, metres, where the grid lies by default; None where it is not known.
     antenna
         Pattern of the antennas, which tells where their beam reaches.
     measured
@@ -77,6 +80,7 @@ class ProfiledChannel:
     resolution_m: float
     extent_m: float
     outline: Any
+    plane_height_m: float | None
     antenna: Antenna
     measured: bool
 
@@ -98,14 +102,14 @@ def views_needed(views: Views, settings: ImagingSettings) -> NDArray[np.intp]:
     return np.arange(len(views)) if settings.noise.reference == "all" else chosen
 
 
-def profile_key(settings: ImagingSettings, views: Views) -> ProfileKey:
+def profile_key(settings: ImagingSettings, views: Views, plane_height_m: float | None = None) -> ProfileKey:
     """What decides a channel's profiles before noise: paths, impairments, PDP settings, range gate [m].
 
     The gate, where false echoes are too, is that of the assumed positions.
     """
     impairments = settings.impairments.of_channel(settings.noise.seed)
     seen = views if impairments is None else assumed_views(views, impairments)
-    gate_m = gate_for(VoxelGrid.from_settings(settings.grid), seen, settings.pdp)
+    gate_m = gate_for(VoxelGrid.from_settings(settings.grid, plane_height_m), seen, settings.pdp)
     return settings.paths, impairments, settings.pdp, gate_m
 
 
@@ -137,7 +141,7 @@ def profile_channel(
     DataError
         No path is chosen, or none inside the gate.
     """
-    paths, impairments, pdp_settings, gate_m = profile_key(settings, channel.views)
+    paths, impairments, pdp_settings, gate_m = profile_key(settings, channel.views, channel.plane_height_m)
     numbers = np.arange(channel.n_view) if only is None else only
     seen = choose_paths(channel, paths)
     seen = seen if impairments is None else impair_channel(seen, impairments, gate_m)
@@ -158,6 +162,7 @@ def profile_channel(
         resolution_m=range_resolution(channel.bandwidth_hz),
         extent_m=channel.extent_m,
         outline=channel.outline,
+        plane_height_m=channel.plane_height_m,
         antenna=channel.antenna,
         measured=not isinstance(channel, Cir),
     )
@@ -229,7 +234,7 @@ class Pipeline:
     def _of_all(self, settings: ImagingSettings) -> Observation:
         """What a method would see of the views ``channel.numbers``."""
         channel = self.channel
-        grid = VoxelGrid.from_settings(settings.grid)
+        grid = VoxelGrid.from_settings(settings.grid, channel.plane_height_m)
         return Observation(
             front=self.front_end(settings),
             views=self.keep("views", None, lambda: channel.views.select(channel.numbers)),
@@ -272,6 +277,7 @@ class Pipeline:
             n_view=seen.n_view,
             occupied=occupied,
             outline=self.channel.outline,
+            plane_height_m=self.channel.plane_height_m,
             resolution_m=seen.resolution_m,
         )
 
@@ -346,9 +352,9 @@ def reconstruct(
         A setting does not fit the file, or nothing is left to project.
     """
     settings = _given(settings, method, values)
-    check_grid(VoxelGrid.from_settings(settings.grid))
     stages = _started(channel, settings)
-    used = settings.model_copy(update={"noise": effective_noise(stages.channel, settings.noise)})
+    grid = settings.grid.model_copy(update={"center_m": settings.grid.middle_m(channel.plane_height_m)})
+    used = settings.model_copy(update={"noise": effective_noise(stages.channel, settings.noise), "grid": grid})
     return replace(
         stages.image(settings),
         config={"simulation": dict(channel.config), "imaging": used.model_dump(mode="json")},
@@ -369,4 +375,20 @@ def _given(settings: ImagingSettings | None, method: Any, values: dict[str, Any]
 def _started(channel: Channel, settings: ImagingSettings) -> Pipeline:
     """The stages behind the profiles of the views that an image needs."""
     check_argument("channel", channel, Channel, "for a file: load_channel")
+    grid = VoxelGrid.from_settings(settings.grid, channel.plane_height_m)
+    check_grid(grid)
+    _say_height(channel, grid)
     return Pipeline(profile_channel(channel, settings, views_needed(channel.views, settings)))
+
+
+def _say_height(channel: Channel, grid: VoxelGrid) -> None:
+    """Tell that a grid of one layer is at another height than the sensor, where no scene has said so."""
+    heights, z = channel.views.midpoints_m[:, 2], grid.center_m[2]
+    away = heights[np.argmin(abs(heights - z))]
+    if channel.plane_height_m is None and grid.counts[2] == 1 and abs(away - z) > SAME_HEIGHT_M:
+        warnings.warn(
+            f"the sensor is at z = {away:.4g} m and the grid at {z:g} m: upright faces mirror its waves at its own "
+            "height; set the z of grid.center_m",
+            MvlaWarning,
+            stacklevel=4,
+        )

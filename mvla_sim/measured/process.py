@@ -195,14 +195,16 @@ def process(settings: ProcessSettings, folder: Path) -> Processed:
                 source = _measured(settings.measurement, source, folder)
         with _timed(seconds, "import"):
             channel = import_channel(source)
+    truth = None if settings.truth is None else Scene.load(settings.truth)
+    if truth is not None and channel.plane_height_m is None:
+        channel = replace(channel, plane_height_m=truth.settings.plane_height_m)
     with _timed(seconds, "image"):
         image = reconstruct(channel, settings.imaging)
-    truth = None if settings.truth is None else Scene.load(settings.truth)
     evaluation = None
     occupied = image.occupied
     if truth is not None and image.grid.counts[2] == 1:
         with _timed(seconds, "evaluation"):
-            image = replace(image, outline=truth.outline)
+            image = replace(image, outline=truth.outline, plane_height_m=truth.settings.plane_height_m)
             chosen = settings.evaluation
             if chosen.threshold is None and settings.imaging.threshold is not None:
                 chosen = chosen.model_copy(update={"threshold": settings.imaging.threshold})

@@ -100,5 +100,5 @@ def draw_scene(scene_file: str | Path, output: Path, overrides: Sequence[str]) -
 
 def truth_of(scene: Scene, settings: GridSettings) -> tuple[NDArray[np.bool_], VoxelGrid]:
     """Ground truth of a scene and its grid."""
-    grid = VoxelGrid.from_settings(settings)
+    grid = VoxelGrid.from_settings(settings, scene.settings.plane_height_m)
     return rasterize(scene.outline, grid, "contour"), grid

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from mvla_sim.errors import DataError
 
-__all__ = ["cross_section", "footprint", "section_and_gap"]
+__all__ = ["cross_section", "distance_inside", "footprint", "section_and_gap"]
 
 WELD: Final = 1e-7
 """Points nearer than this share of the mesh's size are one point: single precision, as in PLY and STL, is no finer."""
@@ -22,7 +22,7 @@ NUDGE: Final = 4e-6
 """Step, as a share of the mesh's size, by which a plane through vertices moves; 0.03 mm for a target of 8 m."""
 
 
-def cross_section(mesh: trimesh.Trimesh, height_m: float, what: str) -> shapely.Geometry:
+def cross_section(mesh: trimesh.Trimesh, height_m: float, what: str, hint: str = "") -> shapely.Geometry:
     """Area in which the horizontal plane z = ``height_m`` cuts a closed mesh.
 
     Parameters
@@ -33,6 +33,8 @@ def cross_section(mesh: trimesh.Trimesh, height_m: float, what: str) -> shapely.
         The plane's height, metres.
     what
         The mesh's name, for messages.
+    hint
+        What else may help, behind a message.
 
     Returns
     -------
@@ -54,13 +56,14 @@ def cross_section(mesh: trimesh.Trimesh, height_m: float, what: str) -> shapely.
     if gap is not None:
         raise DataError(
             f"{what}: the mesh is not watertight at the imaging plane z = {height_m:g} m: its section is open at "
-            f"x = {gap[0]:.4g} m, y = {gap[1]:.4g} m; close it in a mesh editor or set another plane_height_m"
+            f"x = {gap[0]:.4g} m, y = {gap[1]:.4g} m; close it in a mesh editor, set another plane_height_m, "
+            f"or outline = 'footprint', which needs no closed mesh{hint}"
         )
     if area.is_empty:
         low, high = mesh.bounds[:, 2]
         raise DataError(
             f"{what}: the mesh spans z = {low:.4g} to {high:.4g} m and does not cut the imaging plane "
-            f"z = {height_m:g} m; move it with position_m or set plane_height_m"
+            f"z = {height_m:g} m; move it with position_m or set plane_height_m{hint}"
         )
     return area
 
@@ -96,6 +99,12 @@ def section_and_gap(mesh: trimesh.Trimesh, height_m: float) -> tuple[shapely.Geo
             gap = (float(x), float(y))
     area = shapely.build_area(lines).simplify(WELD * size)  # most points on straight lines are no corners
     return (area if area.area > (WELD * size) ** 2 else shapely.Polygon()), gap
+
+
+def distance_inside(mesh: trimesh.Trimesh, height_m: float, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance of points ``[n, 2]`` to the area that a mesh encloses at a height, ``[n]`` metres; 0 inside it."""
+    area, _ = section_and_gap(mesh, height_m)
+    return np.asarray(shapely.distance(area, shapely.points(points)), np.float64)
 
 
 def footprint(mesh: trimesh.Trimesh) -> shapely.Geometry:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from mvla_sim.errors import ConfigError, OutputError
 from mvla_sim.files import atomic_output
+from mvla_sim.scene.placing import SceneObject
 from mvla_sim.scene.shape import Shape
-from mvla_sim.scene.world import Scene, SceneObject
+from mvla_sim.scene.world import Scene
 
 __all__ = ["export_mitsuba"]
 

@@ -41,6 +41,7 @@ class Shape(Kind):
         (0.0, 0.0, 0.0), description="where the shape's own origin is put, x, y and z"
     )
     rotation_deg: float = Field(0.0, description="about the vertical axis, counter-clockwise")
+    obstacle: bool = Field(False, description="is traced, and is no part of the target: not in the ground truth")
     material: Material = Field("metal", description="ITU-R P.2040 name, or permittivity and conductivity")
     thickness_m: PositiveFloat = Field(0.1, description="of the material, which decides how much passes through")
     scattering_coefficient: Annotated[

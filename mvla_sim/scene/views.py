@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mvla_sim.errors import DataError
 
-__all__ = ["Views", "wrapped"]
+__all__ = ["SAME_HEIGHT_M", "Views", "wrapped"]
+
+SAME_HEIGHT_M: Final = 0.1
+"""A sensor this near to a plane is in it: seen from 10 m, ranges in it then differ by 0.5 mm."""
 
 UNIT = 1e-6
 """How far a boresight's length may be from 1; it is then made 1."""

@@ -4,34 +4,31 @@ from __future__ import annotations
 
 import copy
 import hashlib
-import itertools
 import json
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import shapely
-import trimesh
 from numpy.typing import NDArray
 from pydantic import Field
 from shapely.geometry.base import BaseGeometry
 
-from mvla_sim.errors import ConfigError, DataError
-from mvla_sim.scene.cross_sections import cross_section, footprint, section_and_gap
+from mvla_sim.errors import ConfigError, MvlaWarning
+from mvla_sim.scene.outlines import target_areas
+from mvla_sim.scene.placing import SceneObject, check_outside, check_reach, place_objects
 from mvla_sim.scene.radio import RadioSettings, RayTracingSettings
 from mvla_sim.scene.shape import SHAPES, Shape
 from mvla_sim.scene.trajectories.circle import Circle
 from mvla_sim.scene.trajectory import TRAJECTORIES, Trajectory
-from mvla_sim.scene.views import Views
+from mvla_sim.scene.views import SAME_HEIGHT_M, Views
 from mvla_sim.settings import Settings, apply_overrides, parse, read_toml, resolve_beside
 from mvla_sim.shipped import find
 
-__all__ = ["Scene", "SceneObject", "SceneSettings", "load_scene"]
-
-ON_SURFACE_M: Final = 1e-6
-"""A sensor this near to a surface is on it; single precision, in which rays are traced, tells no more apart."""
+__all__ = ["Scene", "SceneSettings", "load_scene"]
 
 
 class SceneSettings(Settings):
@@ -49,31 +46,6 @@ class SceneSettings(Settings):
     outline: Literal["section", "footprint"] = Field(
         "section", description="the ground truth: cut at the imaging plane, or all that is seen from above"
     )
-
-
-@dataclass(frozen=True, eq=False)
-class SceneObject:
-    """An object in its place, or a part of one that has several materials.
-
-    Attributes
-    ----------
-    name
-        Unique in its scene; a part's is that of the object with its own behind it, as in ``car-0-cabin``.
-    settings
-        Its settings: shape, place and radio material; a part's are those of the object with the part's own material.
-    mesh
-        Its surface in the world, metres.
-    index
-        Which of the settings' objects it is or belongs to.
-    """
-
-    name: str
-    settings: Shape
-    mesh: trimesh.Trimesh
-    index: int
-
-    def __repr__(self) -> str:
-        return f"SceneObject('{self.name}': {self.settings!r}, {len(self.mesh.faces)} faces)"
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -102,7 +74,7 @@ class Scene:
         Sensor positions T_m.
     outline
         The target's true shape, coordinates (x, y) in metres: the union of the cross-sections at the imaging plane, or
-        of all that is seen from above where the settings ask for the footprint.
+        of all that is seen from above where the settings ask for the footprint; without obstacles.
     extent_m
         D of the paper, metres: the largest of the extents of the objects in the outline. It is nominal for circle,
         square and triangle, else the largest distance between two points of the object's share of the outline.
@@ -112,10 +84,16 @@ class Scene:
     Raises
     ------
     ConfigError
-        A setting is not allowed, two objects have one name, several objects or a car do not reach the imaging plane, or
-        a sensor is inside an object or on its surface.
+        A setting is not allowed, two objects have one name, a sensor is inside an object or on its surface, or an
+        object that is no obstacle does not reach the imaging plane, or only with its feet.
     DataError
-        A mesh or positions file is unusable, the object does not reach the imaging plane, or one is open there.
+        A mesh or positions file is unusable, the object does not reach the imaging plane, one is open there, or one is
+        far from every sensor.
+
+    Warns
+    -----
+    MvlaWarning
+        Every sensor is at another height than the imaging plane, or that cuts nothing of a footprint.
 
     Examples
     --------
@@ -145,14 +123,16 @@ class Scene:
             chosen = settings
         else:
             chosen = parse(SceneSettings, {"name": "scene", **dict(settings or {}), **fields}, source)
-        objects = _objects(chosen.objects, source)
-        areas = _footprints(objects, source) if chosen.outline == "footprint" else _sections(objects, chosen, source)
+        objects = place_objects(chosen.objects, source)
+        areas = target_areas(objects, chosen, source)
         outline = shapely.union_all(list(areas.values()))
         x_low, y_low, x_high, y_high = outline.bounds
         center = ((x_low + x_high) / 2, (y_low + y_high) / 2)
         views = chosen.trajectory.build_views(center, f"{source}: trajectory")
+        check_reach(objects, views, source)
         for item in objects:
-            _check_outside(item, views, source)
+            check_outside(item, views, source)
+        _say_height(views, chosen, source)
         boxes = np.stack([item.mesh.bounds for item in objects])  # [n_object, 2, 3]
         bounds = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
         bounds.setflags(write=False)
@@ -253,98 +233,20 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     return parse(SceneSettings, data, str(file))
 
 
-def _objects(entries: Sequence[Shape], source: str) -> tuple[SceneObject, ...]:
-    """Objects in their places, a car as its parts; all names are unique."""
-    names = [_name(entry, index) for index, entry in enumerate(entries)]
-    for index, name in enumerate(names):
-        if name in names[:index]:
-            raise ConfigError(
-                f"{source}: objects[{index}].name = '{name}' is also the name of objects[{names.index(name)}]; "
-                "names must be unique"
-            )
-    found: dict[str, SceneObject] = {}
-    for index, (whole, entry) in enumerate(zip(names, entries, strict=True)):
-        for part, mesh in entry.parts(f"{source}: objects[{index}]").items():
-            name = f"{whole}-{part}" if part else whole
-            if name in found:
-                raise ConfigError(
-                    f"{source}: objects[{index}].name = '{whole}': '{name}' is also a name in "
-                    f"objects[{found[name].index}]; names must be unique, those of a car's parts too"
-                )
-            found[name] = SceneObject(name, entry.part(part), mesh, index)
-    return tuple(found.values())
-
-
-def _name(entry: Shape, index: int) -> str:
-    return entry.name or f"{SHAPES.name_of(type(entry))}-{index}"
-
-
-def _footprints(objects: Sequence[SceneObject], source: str) -> dict[int, BaseGeometry]:
-    """Area (x, y) in metres of each whole object as seen from above, by its index."""
-    areas = {
-        index: footprint(trimesh.util.concatenate([item.mesh for item in parts]))
-        for index, parts in _whole(objects).items()
-    }
-    areas = {index: area for index, area in areas.items() if not area.is_empty}
-    if not areas:
-        raise DataError(f"{source}: outline = 'footprint': no object has a face that is seen from above")
-    return areas
-
-
-def _sections(objects: Sequence[SceneObject], settings: SceneSettings, source: str) -> dict[int, BaseGeometry]:
-    """Cross-section (x, y) in metres of each whole object that the imaging plane cuts, by its index."""
-    height = settings.plane_height_m
-    found = [section_and_gap(item.mesh, height) for item in objects]
-    reached = [item for item, (area, gap) in zip(objects, found, strict=True) if gap is not None or not area.is_empty]
-    # One object: its own message says where it is. Several: those above and below the plane are only obstacles.
-    if not reached and len(objects) > 1:
-        spans = ", ".join(_span(index, parts) for index, parts in _whole(objects).items())
-        raise ConfigError(f"{source}: plane_height_m = {height:g} cuts none of the objects ({spans})")
-    return {
-        index: shapely.union_all([cross_section(item.mesh, height, f"{source}: {_called(item)}") for item in parts])
-        for index, parts in _whole(reached or objects).items()
-    }
-
-
-def _whole(objects: Sequence[SceneObject]) -> dict[int, list[SceneObject]]:
-    """Parts of each object, by its index."""
-    return {index: list(parts) for index, parts in itertools.groupby(objects, key=lambda item: item.index)}
-
-
-def _span(index: int, parts: Sequence[SceneObject]) -> str:
-    """Name of a whole object, and its lowest and highest point."""
-    low, high = min(item.mesh.bounds[0, 2] for item in parts), max(item.mesh.bounds[1, 2] for item in parts)
-    first = parts[0]
-    name = first.name if len(parts) == 1 else _name(first.settings, index)
-    return f"{name} {low:.4g} to {high:.4g} m"
-
-
-def _called(item: SceneObject) -> str:
-    """Name of an object for a message, with its file where it has one."""
-    file = getattr(item.settings, "file", None)
-    return item.name if file is None else f"{item.name} ({file})"
-
-
 def _widest_m(area: BaseGeometry) -> float:
     """Largest distance between two points of an area, metres; both are corners of its convex hull."""
     corners = shapely.get_coordinates(area.convex_hull)
     return max(float(np.hypot(*(corners - corner).T).max()) for corner in corners)
 
 
-def _check_outside(item: SceneObject, views: Views, source: str) -> None:
-    low, high = item.mesh.bounds
-    pairs = {"view": views.positions_m} if views.receivers_m is None else {
-        "transmitter of view": views.positions_m, "receiver of view": views.receivers_m
-    }  # fmt: skip
-    for called, positions in pairs.items():
-        within = ((positions >= low - ON_SURFACE_M) & (positions <= high + ON_SURFACE_M)).all(axis=1)
-        for height in np.unique(positions[within, 2]):
-            area, _ = section_and_gap(item.mesh, float(height))
-            level = np.flatnonzero(within & (positions[:, 2] == height))
-            hit = level[shapely.distance(area, shapely.points(positions[level, :2])) <= ON_SURFACE_M]
-            if len(hit):
-                x, y, z = positions[hit[0]]
-                raise ConfigError(
-                    f"{source}: trajectory: {called} {hit[0]} at ({x:.4g}, {y:.4g}, {z:.4g}) m is inside '{item.name}' "
-                    "or on its surface; move the sensor or the object"
-                )
+def _say_height(views: Views, settings: SceneSettings, source: str) -> None:
+    """Tell that every sensor is at another height than the imaging plane."""
+    heights, plane = views.midpoints_m[:, 2], settings.plane_height_m
+    away = heights[np.argmin(abs(heights - plane))]
+    if abs(away - plane) > SAME_HEIGHT_M:
+        warnings.warn(
+            f"{source}: the sensor is at z = {away:.4g} m and the imaging plane at {plane:g} m: upright faces mirror "
+            "its waves at its own height; set the trajectory's height, or plane_height_m",
+            MvlaWarning,
+            stacklevel=3,
+        )

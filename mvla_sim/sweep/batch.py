@@ -49,6 +49,7 @@ class ProfileArguments:
     only: tuple[int, ...] | None = None  # numbers of the views that are needed, rising; None: all
     with_amplitude: bool = True  # keep the complex amplitudes
     outline: Any = None  # the truth, where the file carries none
+    plane_height_m: float | None = None  # the plane of that truth
 
 
 def load_profiles(file: Path, wanted: ProfileArguments) -> ProfiledChannel:
@@ -63,8 +64,10 @@ def load_profiles(file: Path, wanted: ProfileArguments) -> ProfiledChannel:
     """
     stamp = file.stat().st_mtime_ns if file.exists() else 0
     numbers = None if wanted.only is None else np.array(wanted.only, np.intp)
-    profiled = profile_channel(_load(file, stamp), wanted.settings, numbers, with_amplitude=wanted.with_amplitude)
-    return profiled if profiled.outline is not None else replace(profiled, outline=wanted.outline)
+    channel = _load(file, stamp)
+    if channel.outline is None:
+        channel = replace(channel, outline=wanted.outline, plane_height_m=wanted.plane_height_m)
+    return profile_channel(channel, wanted.settings, numbers, with_amplitude=wanted.with_amplitude)
 
 
 def run_batch(stages: Pipeline, cases: Sequence[Case]) -> list[Row]:

@@ -79,7 +79,7 @@ class CaseBuilder:
         self._calibration: Calibration | None = None
         for file in experiment.scenes:
             self._name(file)
-        truth = None if experiment.truth is None else Scene.load(experiment.truth).outline
+        truth = None if experiment.truth is None else Scene.load(experiment.truth)
         for file in experiment.channels:
             source = file_source(file, truth)
             if source.name in (*self.files, *self._of_files):

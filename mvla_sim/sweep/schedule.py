@@ -79,8 +79,9 @@ def groups_of(plan: Plan, cases: Sequence[Case], workers: int) -> list[CaseGroup
     for case in cases:
         own = case.imaging.impairments.of_channel(case.imaging.noise.seed)
         place = (case.channel, case.imaging.paths, case.imaging.pdp, case.imaging.grid, own)
+        source = plan.sources[case.channel]
         if place not in keys:
-            keys[place] = (case.channel, *profile_key(case.imaging, plan.sources[case.channel].views))
+            keys[place] = (case.channel, *profile_key(case.imaging, source.views, source.plane_height_m))
         groups.setdefault(keys[place], []).append(case)
     target, once = max(BATCH_S, workers / BATCHES_PER_S), Once()
     channels = {channel: place for place, channel in enumerate(dict.fromkeys(case.channel for case in cases))}
@@ -94,6 +95,7 @@ def _group(source: Source, cases: Sequence[Case], target_s: float, once: Once) -
         _needed(source.views, cases),
         any(case.imaging.noise.uses_amplitude or case.imaging.chosen.uses_amplitude for case in cases),
         source.outline,
+        source.plane_height_m,
     )
     return CaseGroup(source, wanted, tuple(_cut(_ordered(cases, once), len(source.views), target_s)))
 

@@ -28,6 +28,7 @@ class Source:
     scene: Scene | None = None  # the scene that is traced; None for a channel file
     path: Path | None = None  # the channel file; None for a scene
     outline: Any = None  # the truth of a channel file that carries none; None: its own
+    plane_height_m: float | None = None  # where its grid lies by default
 
     @property
     def file(self) -> Path:
@@ -42,20 +43,24 @@ class Source:
 
 def traced_source(scene: Scene) -> Source:
     """The channel of a scene."""
-    return Source(cache_file(scene).stem, scene.name, scene.views, scene)
+    height = scene.settings.plane_height_m
+    return Source(cache_file(scene).stem, scene.name, scene.views, scene, plane_height_m=height)
 
 
-def file_source(path: str | os.PathLike[str], outline: Any = None) -> Source:
-    """The channel in a file, of any kind that imaging takes; ``outline`` is the truth where the file has none.
+def file_source(path: str | os.PathLike[str], truth: Scene | None = None) -> Source:
+    """The channel in a file, of any kind that imaging takes; ``truth`` has the outline where the file has none.
 
     Raises DataError: no readable channel file; or it carries no outline and none is given.
     """
     file = Path(path)
     channel = load_channel(file)
-    if channel.outline is None and outline is None:
+    if channel.outline is None and truth is None:
         raise DataError(f"{file}: carries no outline of its target to score against; give truth = a scene file")
     name = str(channel.config.get("name") or file.stem)
     digest = hashlib.sha256(file.read_bytes())
-    if channel.outline is None:
+    outline, height = channel.outline, channel.plane_height_m
+    if outline is None:
+        assert truth is not None
+        outline, height = truth.outline, truth.settings.plane_height_m
         digest.update(outline.wkb)
-    return Source(f"file-{digest.hexdigest()[:32]}", name, channel.views, None, file, channel.outline or outline)
+    return Source(f"file-{digest.hexdigest()[:32]}", name, channel.views, None, file, outline, height)

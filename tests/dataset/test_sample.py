@@ -123,6 +123,7 @@ def test_draws_follow_their_distributions():
     assert len({draw_sample(alone, k).ray_tracing.seed for k in range(100)}) == 100
 
 
+@pytest.mark.filterwarnings("ignore:.*the sensor is at z = :mvla_sim.errors.MvlaWarning")  # heights are drawn
 @pytest.mark.parametrize("kind", ["circle", "turntable", "arc"])
 def test_trajectories(tmp_path, kind):
     more = ["trajectory.span_deg={min=90,max=180}", "trajectory.start_deg={min=0,max=90}"] if kind == "arc" else []

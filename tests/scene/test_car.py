@@ -11,7 +11,7 @@ import shapely
 import trimesh
 from shapely import affinity
 
-from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.errors import ConfigError, DataError, MvlaWarning
 from mvla_sim.scene.cross_sections import cross_section, footprint, section_and_gap
 from mvla_sim.scene.shapes.car import RUBBER, Car
 from mvla_sim.scene.shapes.cylinder import Cylinder
@@ -21,6 +21,9 @@ from mvla_sim.scene.shapes.square import Square
 from mvla_sim.scene.shapes.star import Star
 from mvla_sim.scene.world import Scene, SceneSettings
 from mvla_sim.settings import parse
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*the sensor is at z = :mvla_sim.errors.MvlaWarning")
+"""Planes are moved here while the sensor stays; test_targets.py looks at what is said of that."""
 
 VEHICLE = Path(__file__).parents[2] / "scenes" / "vehicle.toml"
 CAR = Car()
@@ -228,7 +231,7 @@ def test_its_section_is_that_of_the_parts_the_plane_cuts():
 
 def test_a_plane_that_misses_it_is_refused_with_its_height():
     with pytest.raises(
-        ConfigError, match=r"test\.toml: plane_height_m = 2 cuts none of the objects \(car-0 0 to 1\.6 m"
+        ConfigError, match=r"test\.toml: plane_height_m = 2 cuts none of the objects \(car-0 \(0 to 1\.6 m\)"
     ):
         scene(plane_height_m=2.0)
 
@@ -272,7 +275,8 @@ def test_a_footprint_turns_and_moves_with_the_car():
 
 def test_a_footprint_needs_no_plane_and_holds_what_is_above_it():
     star, roof = {"shape": "star"}, {"shape": "square", "side_m": 4.0, "position_m": (5, 0, 3)}
-    world = scene(star, roof, plane_height_m=20.0, outline="footprint")
+    with pytest.warns(MvlaWarning, match=r"the imaging plane z = 20 m cuts none of the objects"):
+        world = scene(star, roof, plane_height_m=20.0, outline="footprint")
     expected = Star().outline().union(shapely.box(3, -2, 7, 2))
     assert difference(expected, world.outline) < EXACT
     assert world.extent_m == pytest.approx(8 * math.sin(0.4 * math.pi), rel=EXACT)

@@ -132,7 +132,10 @@ def test_a_pattern_that_the_format_cannot_hold_is_refused_before_anything_is_wri
         export_mitsuba(world, tmp_path / "scene.xml")
     with pytest.raises(ConfigError, match=r"test: objects\[1\]\.scattering_pattern\.kind"):  # a car is one entry
         export_mitsuba(
-            build({"shape": "car"}, {"shape": "star", "position_m": (0, 4, 0), **DIRECTIVE}), tmp_path / "scene.xml"
+            build(
+                {"shape": "car", "position_m": (0, -4, -0.9)}, {"shape": "star", "position_m": (0, 4, 0), **DIRECTIVE}
+            ),
+            tmp_path / "scene.xml",
         )
     assert not list(tmp_path.iterdir())
     smooth = build({"shape": "star", **DIRECTIVE, "scattering_coefficient": 0.0})
