@@ -16,7 +16,7 @@ BINS: Final = 4
 """Quantiles that a setting of many values is divided into."""
 MANY: Final = 6
 """Values above which a setting is divided."""
-RESAMPLES: Final = 200
+RESAMPLES: Final = 100
 LEVEL: Final = 0.95
 
 

@@ -29,6 +29,8 @@ SEARCH: Final = "readings"
 LATER: Final = ("score", "held", "gap_db", "table_error")
 """Figures of later rounds that are kept."""
 BEST: Final = 12
+_FAR: Final = 2.0
+"""Units beyond which a margin is as good, or as bad, as at them: a ratio of spreads has no end."""
 TABLE_FIGURES: Final = (
     "gap_db",
     "table_error",
@@ -129,7 +131,13 @@ def _decides(readings: pd.DataFrame, settings: Sequence[str], folder: Path) -> S
     """One figure and one table: which settings decide each claim and the table's values, and when a claim holds."""
     claims = [number for number in UNITS if f"margin_{number.lower()}" in readings]
     figures = [f"margin_{number.lower()}" for number in claims] + [name for name in TABLE_FIGURES if name in readings]
-    found = effects(readings, settings, figures)
+    within = {
+        f"margin_{number.lower()}": readings[f"margin_{number.lower()}"].clip(
+            -_FAR * UNITS[number], _FAR * UNITS[number]
+        )
+        for number in claims
+    }
+    found = effects(readings.assign(**within), settings, figures)
     write_csv(found, folder / "effects.csv")
     labels = dict(zip(figures, [*claims, *(_LABELS[name] for name in TABLE_FIGURES if name in readings)], strict=True))
     picture = folder / "effects.png"

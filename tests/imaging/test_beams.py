@@ -318,7 +318,7 @@ def test_a_channel_is_imaged_after_its_pattern_file_was_deleted(tmp_path):
     before = reconstruct(cir, chosen).score
     cir.save(tmp_path / "cir.nc")
     response = tmp_path / "r.npz"
-    arrays = {"response": np.ones((24, 300), complex), "frequency": 36e9 + 6e6 * np.arange(300)}
+    arrays = {"response": np.exp(-1j * np.arange(300)) * np.ones((24, 1)), "frequency": 36e9 + 6e6 * np.arange(300)}
     np.savez(response, **arrays, a=15.0 * np.arange(24))
     data = {"arrays": {"angles": "a"}, "geometry": {"radius_m": 10.0}, "antenna": {"kind": "file", "file": str(csv)}}
     imported = import_channel(import_settings(response, data=data))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import warnings
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ import mvla_sim as mv
 from mvla_sim.channel.components import Components
 from mvla_sim.channel.diffraction import diffracted_gain, permittivity
 from mvla_sim.channel.simulate import simulate
-from mvla_sim.errors import ConfigError, DataError
+from mvla_sim.errors import ConfigError, DataError, MvlaWarning
 from mvla_sim.imaging.paths import PathSettings, choose_paths
 from mvla_sim.imaging.pipeline import observe, profile_key, reconstruct
 from mvla_sim.scene.material import ITU_CONSTANTS, CustomMaterial
@@ -39,7 +40,10 @@ SCENES = {
 def scene(name, s):
     objects, trajectory, radio = SCENES[name]
     objects = [item | {"scattering_coefficient": s} for item in objects]
-    return Scene({"objects": objects, "trajectory": trajectory, "radio": radio, "ray_tracing": FEW_RAYS})
+    settings = {"objects": objects, "trajectory": trajectory, "radio": radio, "ray_tracing": FEW_RAYS}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MvlaWarning)
+        return Scene(settings)
 
 
 @functools.cache
@@ -51,6 +55,7 @@ def weighed(cir, s):
     return choose_paths(cir, PathSettings(scattering_coefficient=s))
 
 
+@pytest.mark.filterwarnings("ignore::mvla_sim.errors.MvlaWarning")  # some look from above, which is said
 @pytest.mark.parametrize(
     ("name", "before", "wanted"),
     [("star", 0.1, (0.0, 0.6, 1.0)), ("glass from above, H", 0.5, (0.9,)), ("horn", 0.3, (0.8,))],

@@ -350,7 +350,7 @@ def test_rpm_says_so_if_nothing_intersects(values):
 )
 def test_sweeps_keep_amplitudes_for_methods_that_need_them(method, kind, kept):
     case = SimpleNamespace(channel="one", imaging=options(method=method, **{"noise.kind": kind}), evaluation=None)
-    plan = SimpleNamespace(sources={"one": SimpleNamespace(views=ring(12), outline=None)})
+    plan = SimpleNamespace(sources={"one": SimpleNamespace(views=ring(12), outline=None, plane_height_m=0.0)})
     (task,) = groups_of(plan, [case], workers=1)
     assert task.wanted.with_amplitude == kept
 

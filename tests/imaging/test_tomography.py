@@ -284,6 +284,7 @@ def test_profiles_of_nothing_make_an_empty_image(solve):
     assert not solve(model, 0 * power, background(0 * power), 5).any()
 
 
+@pytest.mark.filterwarnings("ignore:the sensor is at z:mvla_sim.errors.MvlaWarning")
 @pytest.mark.parametrize("oversampling", [1, 4])
 @pytest.mark.parametrize("paired", [False, True], ids=["together", "pairs"])
 @pytest.mark.parametrize("method", ["mlem", "nnls"])

@@ -148,7 +148,7 @@ def test_what_is_stored_has_its_section_and_its_files(results):
 
 
 def test_the_report_shows_them_beside_the_papers(results):
-    stored(results, "kappa-eta", rows({"mvla-gr": -20.0}).assign(kappa=0.5, eta=[0.0, 0.04] * 4))
+    stored(results / "paper", "kappa-eta", rows({"mvla-gr": -20.0}).assign(kappa=0.5, eta=[0.0, 0.04] * 4))
     text = write_report(results).read_text(encoding="utf-8")
     assert "Methods under fair thresholds" in text
     assert text.count("<img") >= 4

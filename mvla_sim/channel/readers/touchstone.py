@@ -39,7 +39,7 @@ class TouchstoneFolder(Reader):
 
     files: str = Field("*.s[1-9]*p", description="which files of the folder are views")
     parameter: Annotated[str, Field(pattern=f"^{PARAMETER}$")] = Field(
-        "S21", description="S11, S21, S31 …: port received at, port transmitted from; S12,3 from ten ports on"
+        "S21", description="as S21: port received at, port transmitted from; S12,3 from ten ports on"
     )
     angle_pattern: str | None = Field(
         "{angle}", description="where a file's name says its angle, as in car_{angle}deg.s2p"
