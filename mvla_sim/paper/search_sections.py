@@ -63,7 +63,7 @@ def search_sections(folder: Path) -> list[Section]:
     if not file.exists():
         return []
     readings, settings = load_readings(file)
-    return [_found(readings, settings), _decides(readings, settings, folder), _together(readings)]
+    return [_found(readings, settings), _decides(readings, settings, folder), _together(readings, settings)]
 
 
 def load_readings(file: Path) -> tuple[pd.DataFrame, list[str]]:
@@ -174,7 +174,18 @@ def _pair(row: dict[Hashable, Any]) -> str:
     return f"{row['setting']} with {row['partner']}: {share:.0f} % [{low:.0f}, {high:.0f}]"
 
 
-def _together(readings: pd.DataFrame) -> Section:
+def _pull(readings: pd.DataFrame, settings: Sequence[str], one: str, two: str) -> str:
+    """The setting that pulls two claims furthest apart, with the value that each holds most often at."""
+    best, text = 0.0, "–"
+    for name in settings:
+        shares = readings.groupby(name, dropna=False)[[f"holds_{one.lower()}", f"holds_{two.lower()}"]].mean()
+        (first, second), spread = shares.idxmax(), float((shares.max() - shares.min()).min())
+        if first != second and spread > best:
+            best, text = spread, f"{name}: {first} for {one}, {second} for {two}"
+    return text
+
+
+def _together(readings: pd.DataFrame, settings: Sequence[str]) -> Section:
     """Which claims exclude each other: how often two hold in one reading, beside what chance would give."""
     names = {number: f"holds_{number.lower()}" for number in UNITS if f"holds_{number.lower()}" in readings}
     held = readings[list(names.values())].dropna(axis=0, how="all")
@@ -190,12 +201,15 @@ def _together(readings: pd.DataFrame) -> Section:
             if chance > 0:
                 rows.append({"claims": f"{one} and {two}", "hold together (%)": 100 * share,
                              "were they independent (%)": 100 * chance, "ratio": share / chance})  # fmt: skip
-    table = pd.DataFrame(rows).sort_values("ratio", kind="stable", ignore_index=True)
+    table = pd.DataFrame(rows).sort_values("ratio", kind="stable", ignore_index=True).head(10)
+    pairs = [claims.split(" and ") for claims in table["claims"]]
+    table["pulls each way"] = [_pull(readings, settings, one, two) for one, two in pairs]
     counts, readings_of = np.unique(held.sum(axis=1).to_numpy(int), return_counts=True)
     known = held.notna().sum(axis=1).max()
     spread = ", ".join(f"{count} in {n}" for count, n in zip(counts[::-1][:4], readings_of[::-1][:4], strict=True))
     text = (
         f"Pairs of claims that hold together least often, for how often each holds. Of the {known:.0f} claims that "
-        f"screening could tell, so many hold in so many readings: {spread}."
+        f"screening could tell, so many hold in so many readings: {spread}. What pulls each way is the setting that "
+        "both depend on most and that they want different values of."
     )
-    return Section("Which claims exclude each other", text, tables=[table_html(table.head(10), digits=3)])
+    return Section("Which claims exclude each other", text, tables=[table_html(table, digits=3)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -79,6 +81,7 @@ def test_claims_that_exclude_each_other_are_named_first(sections):
     rows = sections[2].tables[0].split("<tr>")
     assert ">C2 and C3<" in rows[2]
     assert ">0<" in rows[2]
+    assert re.search(r"sigma: [56] for C2, [34] for C3", rows[2])
 
 
 def test_the_report_needs_no_more_than_the_readings(folder, sections, tmp_path):
