@@ -94,12 +94,16 @@ def stored_readings(folder: Path, checks: dict[str, Any]) -> list[ReadingResults
 
 
 def sections_of_readings(readings: Sequence[ReadingResults]) -> list[Section]:
-    """Maps of κ and η, curves, calibrated thresholds and examples; in each section one reading after the other."""
+    """Maps of κ and η, curves, calibrated thresholds and examples; in each section one reading after the other.
+
+    Of what was judged on fresh seeds the thresholds are shown: its maps and curves look like those of the reading.
+    """
+    drawn = [reading for reading in readings if not reading.name.endswith(FRESH)]
     return [
-        _maps(readings),
-        *(_curves(readings, name) for name in ("star-optimal", "star-calibrated")),
+        _maps(drawn),
+        *(_curves(drawn, name) for name in ("star-optimal", "star-calibrated")),
         _thresholds(readings),
-        _examples(readings),
+        _examples(drawn),
     ]
 
 

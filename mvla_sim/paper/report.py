@@ -15,7 +15,7 @@ from mvla_sim.paper.averages import finite
 from mvla_sim.paper.beyond import sections_beyond
 from mvla_sim.paper.claims import claims_table
 from mvla_sim.paper.page import Section, table_html, write_page
-from mvla_sim.paper.reading_sections import ReadingResults, sections_of_readings, stored_readings
+from mvla_sim.paper.reading_sections import FRESH, ReadingResults, sections_of_readings, stored_readings
 from mvla_sim.paper.search_sections import search_sections
 from mvla_sim.sweep.table import RECORD, write_csv
 
@@ -68,6 +68,8 @@ def _keys(readings: Sequence[ReadingResults], run: dict[str, Any]) -> Section:
         held = sum(claim.verdict == "holds" for claim in by_number.values())
         under = f"under the reading '{reading.name}'"
         keys.append((f"{held} of {len(by_number)}", f"claims of the paper that could be tested hold {under}"))
+        if reading.name.endswith(FRESH):
+            continue
         if "C1" in by_number:
             text = f"from the paper's (κ, η) down to the smallest averaged CD, {under}"
             keys.append((f"{by_number['C1'].measured:.1f} dB", text))
@@ -99,18 +101,19 @@ def _claims(readings: Sequence[ReadingResults], folder: Path) -> Section:
     every = pd.concat([table.assign(reading=name) for name, table in tables.items()], ignore_index=True)
     write_csv(every[["reading", *(name for name in every if name != "reading")]], folder / "claims.csv")
     first = next(iter(tables.values()))
-    shown = first[["number", "text"]].set_axis(["claim", "the paper says"], axis=1)
+    shown = pd.DataFrame({"claim": first["number"], "the paper says": first["text"] + "; rule: " + first["rule"]})
     counts = []
     for name, table in tables.items():
         shown[f"'{name}'"] = table["verdict"]
-        shown[f"measured under '{name}'"] = table["figure"].str.cat(table["detail"], sep="; ").str.strip("; ")
+        if not name.endswith(FRESH):
+            shown[f"measured under '{name}'"] = table["figure"].str.cat(table["detail"], sep="; ").str.strip("; ")
         count = table["verdict"].value_counts()
         words = ", ".join(f"{count[word]} {word}" for word in ("holds", "does not hold", "not tested") if word in count)
         counts.append(f"'{name}': {words}")
-    shown["rule"] = first["rule"]
     text = (
         "A reading is a choice of what the paper leaves open. 'paper' is the one found to come nearest to what it "
-        f"publishes, 'physical' this package's own defaults. {'. '.join(counts)}."
+        "publishes, 'physical' this package's own defaults; '-fresh' is the same on seeds that it was not chosen with, "
+        f"and its figures are in claims.csv. {'. '.join(counts)}."
     )
     return Section("What the paper claims", text, tables=[table_html(shown, stack=True)])
 

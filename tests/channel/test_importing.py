@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from channel_scenes import random_cir
+from command_line import mvla
 from kinds_of_channel import random_components, random_response
 
 from mvla_sim.channel.importing import ImportSettings, import_channel, import_settings, resolve_files, source_kind
@@ -218,3 +219,17 @@ def test_two_lines_let_a_person_notice_a_mistake(tmp_path):
         echoes, views = overview(kind)
         assert "strongest echoes of the views at " in echoes
         assert views.startswith("5 views from ")
+
+
+def test_the_command_prints_what_lets_a_person_notice_a_mistake(tmp_path):
+    """An echo at 7 m, 24 views 15° apart: both stand in the two lines."""
+    frequency = 34.5e9 + 6e6 * np.arange(501)
+    echo = np.exp(-4j * np.pi * frequency * 7.0 / 299_792_458)
+    np.savez(tmp_path / "r.npz", response=np.tile(echo, (24, 1)) * (1 + 0.01 * np.arange(24))[:, None],
+             frequency=frequency, a=15.0 * np.arange(24))  # fmt: skip
+    options = ["--set", "arrays.angles=a", "--set", "geometry.radius_m=10"]
+    text = mvla("import", tmp_path / "r.npz", "-o", tmp_path / "c.nc", *options, notes=True)
+    assert "34.5 GHz" in text
+    assert "in steps of 6 MHz" in text
+    assert "median 7 m" in text
+    assert "345" in text

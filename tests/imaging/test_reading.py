@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 
 import pytest
+import shapely
+from cases import ring, scatterers
+from command_line import mvla
 
 import mvla_sim as mv
 from mvla_sim.errors import ConfigError, DataError
@@ -12,7 +16,6 @@ from mvla_sim.imaging.reading import ReadingWarning, load_reading
 from mvla_sim.listing import list_settings
 from mvla_sim.shipped import shipped_folder
 from mvla_sim.sweep.experiment import load_experiment
-from tests.command_line import mvla
 
 MINE = """
 description = "another laboratory's"
@@ -103,6 +106,18 @@ def test_every_value_of_a_reading_is_listed(mine):
 def test_the_command_line_tells_what_wins(mine, tmp_path):
     text = mvla("run", "experiment.toml", "--dry-run", "--set", "pdp.window=hann", folder=tmp_path, notes=True)
     assert "mvla: note: imaging.pdp.window = 'hann' is set by hand and wins over 'rectangular'" in text
+
+
+def test_image_and_evaluate_take_a_reading(mine, tmp_path):
+    cir = scatterers([[1.0, 0.5, 0.0]], ring(24), outline=shapely.Point(1.0, 0.5).buffer(0.3))
+    cir.save(tmp_path / "cir.nc")
+    options = ["--set", "grid.size_m=[4, 4, 0]", "--set", "eta=0"]
+    mvla("image", tmp_path / "cir.nc", "-o", tmp_path / "image.nc", "--reading", mine, *options)
+    image = mv.Image.load(tmp_path / "image.nc")
+    assert image.config["imaging"]["pdp"]["window"] == "rectangular"
+    found = json.loads(mvla("evaluate", tmp_path / "image.nc", "--reading", mine, "--json"))
+    assert "f1_20cm" in found
+    assert "f1_5cm" not in found
 
 
 @pytest.mark.parametrize(

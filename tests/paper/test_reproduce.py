@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from command_line import mvla
 
+from mvla_sim.imaging.imaging_settings import imaging_settings
 from mvla_sim.measured.process import load_process
 from mvla_sim.paper import reproduce as reproduce_module
 from mvla_sim.paper.reproduce import EXPERIMENTS, MEASURED, QUICK_OVERRIDES
@@ -105,6 +107,35 @@ def test_an_empty_folder_is_enough(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         next(reproduce_module.reproduce(None, Path("results"), cluster=None))
     assert started == [("main", 144, Path("results/paper/main"))]
+
+
+def test_readings_are_judged_on_fresh_seeds_too(tmp_path, monkeypatch):
+    """Another tracing seed, noise seeds that no reading was chosen with; of the experiments that claims rest on."""
+    plans = {}
+
+    def expand(settings, folder, _):
+        plans[folder.relative_to(tmp_path).as_posix()] = settings
+        return settings
+
+    monkeypatch.setattr(reproduce_module, "expand", expand)
+    monkeypatch.setattr(reproduce_module, "run_plan", lambda *_, **__: SimpleNamespace(table=None))
+    monkeypatch.setattr(reproduce_module, "draw_run", lambda *_: [])
+    monkeypatch.setattr(reproduce_module, "draw_examples", lambda *_: [])
+    steps = reproduce_module.reproduce(None, tmp_path, cluster=None, readings=["paper"], fresh_seeds=True)
+    for _ in range(8):
+        next(steps)
+    judged = ["kappa-eta", "star-optimal", "star-calibrated"]
+    assert list(plans) == [f"paper/{name}" for name in EXPERIMENTS] + [f"paper-fresh/{name}" for name in judged]
+    for name in judged:
+        usual, fresh = plans[f"paper/{name}"], plans[f"paper-fresh/{name}"]
+        assert fresh.axes["scene.ray_tracing.seed"] == (2,)
+        assert fresh.axes["seed"] == (2, 3, 4, 5, 6)[: len(usual.axes["seed"])]
+        assert {k: v for k, v in fresh.axes.items() if "seed" not in k} == {
+            k: v for k, v in usual.axes.items() if k != "seed"
+        }
+        assert fresh.imaging == usual.imaging == imaging_settings(
+            reading="paper", snr_db=usual.imaging.noise.snr_db
+        )  # fmt: skip
 
 
 def test_report_of_nothing_is_refused(tmp_path):
